@@ -5,8 +5,9 @@ from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.topic_catalog import TWISTS
 
-COMMAND_KEY = "**/cmd_vel/**"
-"""Velocity commands on plain keys and on those of ROS 2."""
+COMMAND_KEYS = ("**/cmd_vel", "*/**/cmd_vel/*/*")
+"""Velocity commands on plain keys, and on those of ROS 2 with type and hash. No other key of a
+robot may match: a pool takes `**/cmd_vel/**` for a subscriber of `*/odom`."""
 QUEUE_DEPTH = 1000
 
 
@@ -15,12 +16,13 @@ class OtherCommands:
 
     def __init__(self, bus: Bus, world: str, client: str) -> None:
         self._client = client
-        self._commands = bus.subscribe(COMMAND_KEY, QUEUE_DEPTH)
+        self._commands = [bus.subscribe(key, QUEUE_DEPTH) for key in COMMAND_KEYS]
         self._orders = bus.subscribe(TWISTS.key(world), QUEUE_DEPTH)
 
     def take(self) -> set[str]:
         """Find the robots that were commanded since the last call."""
-        names = {find_commanded_robot(one.key) for one in self._commands.take()}
+        taken = [sample for one in self._commands for sample in one.take()]
+        names = {find_commanded_robot(sample.key) for sample in taken}
         for sample in self._orders.take():
             try:
                 orders = decode(TwistCommands, sample.payload, sample.encoding)
@@ -32,7 +34,8 @@ class OtherCommands:
 
     def close(self) -> None:
         """End the subscriptions."""
-        self._commands.close()
+        for one in self._commands:
+            one.close()
         self._orders.close()
 
 

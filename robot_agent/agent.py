@@ -49,6 +49,7 @@ from zensim.robot_agent.claim_client import (
 )
 from zensim.robot_agent.drive_state_decoder import CLAIM_BYTES, StateOrder
 from zensim.robot_agent.fleet_odometry import FleetOdometryPublisher, MotionRows
+from zensim.robot_agent.rest_schedule import RestSchedule
 from zensim.robot_agent.robots import IndividualRobots
 
 MAX_COMMAND_PAUSE_S = 0.0035
@@ -323,6 +324,12 @@ class RobotSet(HousekeepingTarget, Protocol):
     def revise(self) -> DriveCommand | None:
         """Answer the last state again if a command that came since changes the answer."""
 
+    def is_idle(self) -> bool:
+        """Whether no robot has a subscriber, a valid `cmd_vel`, or anything that moves by time."""
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update of a drive counts; what comes now ends a rest."""
+
     def publish(self) -> None:
         """Publish what is due at the last state."""
 
@@ -337,6 +344,8 @@ class RobotSet(HousekeepingTarget, Protocol):
         """Publish what contact sensors feel."""
 
 
+REST_POLL_S = 0.005
+"""Period of a pool that polls for commands while it needs no states."""
 CONTACTS_DEPTH = 64
 """Control steps whose contacts may wait."""
 
@@ -380,6 +389,7 @@ class Agent:
         self._objects = None if config.pool_limit is None else CollectedObjects()
         self._poll_schedule = _make_poll_schedule(config, is_woken=network.arrivals is not None)
         self._late_command_window = LateCommandWindow()
+        self._rest = RestSchedule()
         self._housekeeping_s = self._now_s = -math.inf
 
     def close(self) -> None:
@@ -400,7 +410,7 @@ class Agent:
         """Find how long to sleep [s] before the next poll."""
         if self._network.arrivals is not None:
             return max(0.0, self._housekeeping_s - now_s)
-        return self._poll_schedule.pause_s(now_s)
+        return REST_POLL_S if self._rest.is_resting else self._poll_schedule.pause_s(now_s)
 
     def poll(self, now_s: float) -> bool:
         """Do what is due; return whether there was a drive state.
@@ -551,7 +561,7 @@ class Agent:
             # The telemetry of this step is published.
             self._commands.send(encode(self._robots.repeat(state), Format.MSGPACK))
             return
-        payload = encode(self._robots.advance(state), Format.MSGPACK)
+        payload = encode(self._rest_if_idle(state, self._robots.advance(state)), Format.MSGPACK)
         self._answered += 1
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
@@ -564,6 +574,17 @@ class Agent:
             self._network.send_held()
             self._publish(state)
 
+    def _rest_if_idle(self, state: DriveState, command: DriveCommand) -> DriveCommand:
+        """Say in the command how long no state is needed."""
+        rest, was_resting = self._rest, self._rest.is_resting
+        rest_ns = rest.find_rest_ns(state, command.targets, self._is_idle)
+        if rest.is_resting != was_resting:
+            self._robots.limit_updates(rest.longest_update_s)
+        return msgspec.structs.replace(command, rest_ns=rest_ns) if rest_ns else command
+
+    def _is_idle(self) -> bool:
+        return not self._odometry.is_wanted and self._robots.is_idle()
+
     def _publish(self, state: DriveState) -> None:
         self._robots.publish()
         if self._odometry.is_wanted:
@@ -575,6 +596,7 @@ class Agent:
         if not self._late_command_window.is_open(self._now_s):
             return
         if (command := self._robots.revise()) is not None:
+            self._rest.wake()
             self._commands.send(encode(command, Format.MSGPACK))
             self._late_command_window.close()
 

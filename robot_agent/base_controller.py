@@ -1,5 +1,6 @@
 """Base controller of one robot: drive and odometry at the drive's update rates."""
 
+import math
 from dataclasses import dataclass
 
 from zensim.proto.drives.column_math import FLOAT_MATH
@@ -65,6 +66,8 @@ class BaseController:
         self._base_in_root = find_base_frame(model).pose_in_root
         self._drive = make_drive_kinematics(drive, FLOAT_MATH)
         self._drive_state = (0.0,) * self._drive.state_size
+        self._least_s = 1.0 / drive.update_rate_hz if drive.update_rate_hz > 0.0 else 0.0
+        self._longest_s = math.inf
         self._last: _DriveUpdate | None = None
         """None if the drive was not due at the last state."""
         self._limiter = RateLimiter(drive.update_rate_hz)
@@ -90,6 +93,15 @@ class BaseController:
         if self._encoder is not None:
             self._encoder.reset()
 
+    @property
+    def needs_all_states(self) -> bool:
+        """Whether the motion depends on each state."""
+        return self._encoder is not None
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update counts, at least that of the update rate."""
+        self._longest_s = max(longest_s, self._least_s)
+
     def update(self, state: RobotState, twist: Twist) -> bool:
         """Take a state; return whether odometry was due, so that the motion is new."""
         if self._encoder is not None:
@@ -110,7 +122,7 @@ class BaseController:
             (twist.linear.x, twist.linear.y, twist.angular.z),
             measured=last.measured,
             state=last.state,
-            dt_s=last.elapsed_s,
+            dt_s=min(last.elapsed_s, self._longest_s),
         )
         return True
 

@@ -1,6 +1,7 @@
 """Robots that are driven one by one: cmd_vel in, targets and telemetry out."""
 
 import logging
+import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -109,14 +110,21 @@ class CmdVelSubscriber:
         self.twist = ZERO_TWIST
         """Command as of the last call of `at`."""
         self._received_ns = 0
+        self._came_later = False
 
     def reset(self) -> None:
         """Forget the command; one that waits in the subscription still counts."""
-        self.twist = ZERO_TWIST
+        self.twist, self._came_later = ZERO_TWIST, False
+
+    def count_from_next(self) -> None:
+        """Count the time of the command from the next call of `at` on: it ended a rest."""
+        self._came_later = True
 
     def at(self, time_ns: int, ordered: Twist | None = None) -> Twist:
         """Find the command at a simulation time; an ordered one replaces those received."""
         malformed = self.malformed
+        if self._came_later:
+            self._received_ns, self._came_later = time_ns, False
         for sample in reversed(self._subscription.take()):
             twist = self._decode(sample)
             if twist is not None:
@@ -185,7 +193,7 @@ class DrivenRobot:
         self._static = make_static_publishers(factory, claim, has_shared=not is_pooled)
         self._state: RobotState | None = None
         self._ordered: Twist | None = None
-        self._is_motion_new = False
+        self._is_motion_new = self._is_resting = False
         if claim.model.drive is not None:
             key = find_topic_keys(claim, factory.settings).cmd_vel
             subscription = factory.subscription(
@@ -241,7 +249,26 @@ class DrivenRobot:
             return False
         before = self.cmd_vel.twist
         twist = self.cmd_vel.at(self._state.time_ns)
+        if self._is_resting:
+            self.cmd_vel.count_from_next()
         return twist != before and self._base.revise(twist)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it has no subscriber, no valid `cmd_vel`, and nothing that moves by time."""
+        is_static = self.joints is None and not (self._sensors or self.bumpers.publishers)
+        is_still = self._ordered is not None or not (
+            self.cmd_vel and self.cmd_vel.twist != ZERO_TWIST
+        )
+        if not (is_static and is_still) or self._base.needs_all_states:
+            return False
+        publishers = (*self._motion.publishers, *self._joints.publishers)
+        return not any(publisher.is_matched for publisher in publishers)
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update of the drive counts; infinite without a rest."""
+        self._is_resting = longest_s < math.inf
+        self._base.limit_updates(longest_s)
 
     def repeat(self, ordered: Twist | None) -> None:
         """Find the targets of the last state again, with another ordered twist."""
@@ -443,6 +470,15 @@ class IndividualRobots:
         """Publish what is due at the last state."""
         for robot in self._robots_in_order:
             robot.publish()
+
+    def is_idle(self) -> bool:
+        """Whether all robots are; see `DrivenRobot.is_idle`."""
+        return all(robot.is_idle for robot in self._robots_in_order)
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update of a drive counts."""
+        for robot in self._robots_in_order:
+            robot.limit_updates(longest_s)
 
     def list_odometry(self) -> Iterator[MotionRows]:
         """List the odometry of all robots that was due at the last state; see `FleetOdometry`."""

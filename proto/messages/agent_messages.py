@@ -286,3 +286,6 @@ class DriveCommand(msgspec.Struct, frozen=True):
     """Whether the next states shall have `joint_efforts`."""
     withheld_hz: UInt32 = 0
     """Messages a second that subscribers by wildcard did not get, as they exceed the budget."""
+    rest_ns: UInt32 = 0
+    """Simulation and wall time [ns] for which the agent needs no further state, unless its claims
+    or ordered twists change; 0 = it needs the next one."""

@@ -1,5 +1,6 @@
 """Drives, odometry and base controllers of a group, in arrays with a row per robot."""
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -102,6 +103,8 @@ class GroupDrive:
     def __init__(self, drive: Drive) -> None:
         self._kinematics = make_drive_kinematics(drive, ARRAY_MATH)
         self._state = np.zeros((0, self._kinematics.state_size))
+        self.longest_s = math.inf
+        """Most time [s] that an update counts."""
         self._last: tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray] | None = None
         """Rows, state, positions, velocities and time of the last update."""
 
@@ -163,7 +166,7 @@ class GroupDrive:
             (twists[:, VX], twists[:, VY], twists[:, WZ]),
             measured=MeasuredJoints(positions.T, velocities.T),
             state=tuple(before.T),
-            dt_s=elapsed_s,
+            dt_s=elapsed_s if self.longest_s == math.inf else elapsed_s.clip(max=self.longest_s),
         )
         if state:
             self._state[rows] = _stack(len(rows), state)
@@ -182,6 +185,7 @@ class GroupBaseController:
         self._group_key = group_key
         self._measured = list(group_key.measured)
         self._drive = GroupDrive(drive)
+        self._least_s = 1.0 / drive.update_rate_hz if drive.update_rate_hz > 0.0 else 0.0
         self._limiters = GroupRateLimiter(drive.update_rate_hz)
         motion_hz = find_motion_rates(drive)[0]
         self._motion_limiter = None if motion_hz is None else GroupRateLimiter(motion_hz)
@@ -206,6 +210,15 @@ class GroupBaseController:
         for part in (self._drive, self._limiters, self._motion_limiter, self._encoders):
             if part is not None:
                 part.reset()
+
+    @property
+    def needs_all_states(self) -> bool:
+        """Whether motions depend on each state."""
+        return self._encoders is not None
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update counts, at least that of the update rate."""
+        self._drive.longest_s = max(longest_s, self._least_s)
 
     def update(self, state: StateRows, twists: FloatArray) -> IntArray:
         """Update targets and motions that are due.

@@ -36,6 +36,11 @@ class PooledBumpers:
         """Whether any of them may have a subscriber."""
         return any(topic.publisher.is_wanted for topic in self._list_topics())
 
+    @property
+    def has_members(self) -> bool:
+        """Whether a robot has contact sensors."""
+        return bool(self._members)
+
     def add(self, claim: Claim, node: RosNode | None) -> None:
         """Declare the topics of a robot; its node is in the ROS 2 graph."""
         self._topics = None

@@ -1,6 +1,7 @@
 """The robots of a pool: groups in arrays, and single robots that no group can hold."""
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -86,6 +87,7 @@ class FleetCmdVel:
         self._rows: dict[str, tuple[int, ...]] = {}
         self._twists = np.zeros((0, TWIST_COLUMNS))
         self._received_ns = np.zeros(0, dtype=np.int64)
+        self._later_ns: int | None = None
         self._faults: dict[str, tuple[int, str]] = {}
 
     def listen(self, key: str) -> None:
@@ -128,6 +130,26 @@ class FleetCmdVel:
     def reset(self) -> None:
         """Forget all commands; those that wait in a subscription still count."""
         self._twists[:] = 0.0
+        self._later_ns = None
+
+    def receive_later(self, time_ns: int) -> bool:
+        """Take commands that came after a state, and end a rest; return whether there were some.
+
+        Their time counts from the next call of `at` on.
+
+        Args:
+            time_ns: Simulation time of that state.
+        """
+        if not (received := self._take_samples()):
+            return False
+        self._store_newest(received, time_ns)
+        self._later_ns = time_ns
+        return True
+
+    def are_idle(self, ordered: FloatArray | None) -> bool:
+        """Whether all commands are zero, except those of rows with an ordered twist (n, 3)."""
+        moving = self._twists.any(axis=1)
+        return not (moving if ordered is None else moving & np.isnan(ordered[:, 0])).any()
 
     def at(self, time_ns: int, ordered: FloatArray | None = None) -> FloatArray:
         """Find the commands (n, 6) at a simulation time.
@@ -136,6 +158,9 @@ class FleetCmdVel:
             time_ns: Simulation time.
             ordered: Twists (n, 3) that replace those received, except rows that are NaN.
         """
+        if self._later_ns not in (None, time_ns):
+            self._received_ns[self._received_ns == self._later_ns] = time_ns
+            self._later_ns = None
         received = self._take_samples()
         if received:
             self._store_newest(received, time_ns)
@@ -372,6 +397,15 @@ class RobotGroup:
         """Whether joint states may have a subscriber."""
         return self._telemetry.wants_efforts
 
+    @property
+    def needs_all_states(self) -> bool:
+        """Whether its robots have anything that moves by time: joints, sensors, encoders."""
+        return bool(self._jointed or self._sensors.topics) or self._bases.needs_all_states
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update of a drive counts."""
+        self._bases.limit_updates(longest_s)
+
     def release(self, member: GroupMember) -> None:
         """Undeclare a robot's topics."""
         for topic, topic_member in zip(self._topics, member.topics, strict=False):
@@ -498,6 +532,9 @@ class _SingleRobot:
 
 class PooledRobots:
     """Robots by claim, in groups; robots that no group can hold are driven one by one."""
+
+    _longest_s = math.inf
+    """Most time [s] that an update of a drive counts; infinite without a rest."""
 
     def __init__(
         self,
@@ -675,8 +712,33 @@ class PooledRobots:
         self._watches.budget.update()
         return self._watches.budget.withheld_hz
 
-    def revise(self) -> None:
-        """Return nothing: one robot's command would need new arrays of all."""
+    def revise(self) -> DriveCommand | None:
+        """Answer the last state again if a command ends a rest.
+
+        Else one robot's command would need new arrays of all.
+        """
+        state = self._state
+        if state is None or state.claims != self._claims or self._longest_s == math.inf:
+            return None
+        is_changed = self._commands.receive_later(state.time_ns)
+        return self.repeat(state) if is_changed else None
+
+    def is_idle(self) -> bool:
+        """Whether no robot has a subscriber, a valid `cmd_vel`, or anything that moves by time."""
+        if self._singles or self._state is None or self._bumpers.has_members:
+            return False
+        if any(group.needs_all_states for group in self._groups.values()):
+            return False
+        wanted = (
+            one.is_wanted for (_, topic), one in self._publishers.items() if not topic.is_latched
+        )
+        return not any(wanted) and self._commands.are_idle(self._layout.read_twists(self._state))
+
+    def limit_updates(self, longest_s: float) -> None:
+        """Set the most time [s] that an update of a drive counts; what comes now ends a rest."""
+        self._longest_s = longest_s
+        for group in self._groups.values():
+            group.limit_updates(longest_s)
 
     def publish(self) -> None:
         """Publish what is due at the last state."""

@@ -21,6 +21,7 @@ from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.pacing.joined_clients import JoinedState
+from zensim.sim_server.pacing.resting_agents import RestingAgents
 from zensim.sim_server.runtime.audit_trail import AuditedUsers, AuditTrail
 from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
@@ -80,6 +81,7 @@ class AgentSessions:
         self._awaited_since_ns: dict[str, int] = {}
         """Wall time of a state that an agent has not replied to, by agent."""
         self._command_timeouts = CommandTimeouts()
+        self._resting = RestingAgents()
         self._withholding: set[str] = set()
         """Agents that withhold messages from subscribers by wildcard."""
 
@@ -117,7 +119,8 @@ class AgentSessions:
     def publish_states(self) -> None:
         """Publish the state of a control step to every agent.
 
-        When simulation time runs faster than wall time, agents that have not replied are left out.
+        When simulation time runs faster than wall time, agents that have not replied are left out;
+        else those that rest.
         """
         now_ns = self._pacing.now_ns()
         runs_fast = self._is_unpaced
@@ -126,8 +129,9 @@ class AgentSessions:
             return
         self._published_ns = now_ns
         busy = self._find_busy_agents(now_ns) if runs_fast else frozenset()
-        self._has_unsent_states = bool(busy)
-        for agent, state in self._world.drive_states(busy):
+        left_out = busy or self._find_resting_agents(now_ns)
+        self._has_unsent_states = bool(left_out)
+        for agent, state in self._world.drive_states(left_out):
             self._publish_state(agent, state)
         if not busy:
             self._world.commanded_twists.note_published()
@@ -186,6 +190,16 @@ class AgentSessions:
         """Find the agents that have not replied to their last state."""
         sent = self._awaited_since_ns.items()
         return frozenset(agent for agent, sent_ns in sent if now_ns - sent_ns < RESEND_AFTER_NS)
+
+    def _find_resting_agents(self, now_ns: int) -> frozenset[str]:
+        """Find the agents that need no state: only while time runs, and no order has changed."""
+        world, pacing = self._world, self._pacing
+        if pacing.is_awaited or not pacing.is_paced or world.clock.state != State.PLAYING:
+            return frozenset()
+        has_orders = self._published_twists != world.commanded_twists.changes
+        if has_orders or world.injected_faults.topic_faults:
+            return frozenset()
+        return self._resting.find(time_ns=world.clock.time_ns, now_ns=now_ns, version=self._version)
 
     def _publish_state(self, agent: str, state: DriveState) -> None:
         sent = msgspec.structs.replace(
@@ -246,6 +260,7 @@ class AgentSessions:
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
         self._command_timeouts.forget(agent)
+        self._resting.forget(agent)
         self._commands.forget(agent)
         self._withholding.discard(agent)
         self._publisher.forget_agent(agent)
@@ -294,6 +309,13 @@ class AgentSessions:
             self._warn_of_withheld(agent, command.withheld_hz)
             now_ns = self._pacing.now_ns()
             self._note_command(agent, command.claims, now_ns)
+            self._resting.note(
+                agent,
+                command.rest_ns,
+                time_ns=self._world.clock.time_ns,
+                now_ns=now_ns,
+                version=self._version,
+            )
             self._agents.graces.pop(agent, None)
             self._commands.note_taken(agent, (command.epoch, command.step))
             self._world.record_ready_time(agent, now_ns)

@@ -1,5 +1,7 @@
 """Loop: agents that appear and disappear, and their robots."""
 
+from collections.abc import Callable
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,21 +9,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes import MemoryCall
+from tests.models import on_ground
 from tests.sim_server.fakes import (
     ServerFixture,
     a_command,
     a_server,
+    a_spawn,
     answer_of,
+    floats,
     names_in,
     wheel_speeds,
 )
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse, OnRelease
+from zensim.proto.messages.agent_messages import (
+    ClaimEntityRequest,
+    ClaimEntityResponse,
+    OnRelease,
+    TwistCommands,
+)
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Event, GetModelsRequest, Stats
 from zensim.proto.network_protocols import Sample
-from zensim.proto.topic_catalog import DRIVE_COMMAND
+from zensim.proto.topic_catalog import DRIVE_COMMAND, TWISTS
 from zensim.sim_server.runtime.loop import TAKEOVER_NS
 from zensim.sim_server.service_parts import ShareGrace
 
@@ -358,6 +368,70 @@ def a_paced_driven_server(*names: str, on_release: OnRelease = "stop") -> Server
     server.drive("a", *[3.0, 3.0] * len(names))
     server.turn_for(0.01)
     return server
+
+
+def rest(server: ServerFixture, seconds: float) -> None:
+    """Let agent `a` say that it needs no state for a while."""
+    command = msgspec.structs.replace(
+        a_command(server.world, "a", 3.0, 3.0), rest_ns=round(seconds * 1e9)
+    )
+    key = DRIVE_COMMAND.key("default", "a")
+    server.inbox.commands.append(Sample(key, encode(command, Format.MSGPACK), ""))
+
+
+def test_loop_publishes_no_state_to_an_agent_that_rests() -> None:
+    server = a_paced_driven_server("r0")
+    rest(server, 0.1)
+    server.turn_for(0.02)
+    before = len(sent_steps(server))
+
+    server.turn_for(0.07)
+    resting = len(sent_steps(server))
+    server.turn_for(0.03)
+
+    assert resting == before
+    assert len(sent_steps(server)) > before
+    assert wheel_speeds(server.world) == [3.0, 3.0]
+
+
+def test_rest_ends_with_the_next_command() -> None:
+    server = a_paced_driven_server("r0")
+    rest(server, 0.2)
+    server.turn_for(0.02)
+    before = len(sent_steps(server))
+
+    server.drive("a", 2.0, 2.0)
+    server.turn_for(0.05)
+
+    assert len(sent_steps(server)) > before
+
+
+def order_a_twist(server: ServerFixture) -> None:
+    orders = TwistCommands("c", ("r0",), floats([1.0, 0.0, 0.0]))
+    server.inbox.twists.append(Sample(TWISTS.key("default"), encode(orders, Format.MSGPACK), ""))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        order_a_twist,
+        lambda server: server.world.clock.pause(),
+        lambda server: server.world.reset(ResetScope.TIME),
+        lambda server: server.world.claim("a", ("r1",), "stop"),
+    ],
+    ids=["ordered twist", "pause", "reset", "claim"],
+)
+def test_rest_ends_when_anything_else_changes(change: Callable[[ServerFixture], object]) -> None:
+    server = a_paced_driven_server("r0")
+    server.world.spawn(a_spawn("r1", base=on_ground(3.0)))
+    rest(server, 0.2)
+    server.turn_for(0.03)
+    before = len(sent_steps(server))
+
+    change(server)
+    server.turn_for(0.03)
+
+    assert len(sent_steps(server)) > before
 
 
 def timed_out(server: ServerFixture) -> list[tuple[str, str]]:
