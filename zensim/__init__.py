@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from zensim.api.sim import Sim
     from zensim.api.simulation import Simulation
     from zensim.api.topic import Topic, TopicCallback
+    from zensim.api.world_page import WorldPage
+    from zensim.api.world_picture import WorldPicture
     from zensim.api.world_view import WorldView
     from zensim.scenario.scenario_loading import load
     from zensim.scenario.world_export import export
@@ -57,6 +59,8 @@ __all__ = [
     "Unreachable",
     "Unsupported",
     "World",
+    "WorldPage",
+    "WorldPicture",
     "WorldView",
     "connect",
     "deg",

@@ -26,6 +26,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "zensim.api.sim": ("Sim",),
     "zensim.api.simulation": ("Simulation",),
     "zensim.api.topic": ("Topic", "TopicCallback"),
+    "zensim.api.world_page": ("WorldPage",),
+    "zensim.api.world_picture": ("WorldPicture",),
     "zensim.api.world_view": ("WorldView",),
     "zensim.scenario.scenario_loading": ("load",),
     "zensim.scenario.world_export": ("export",),

@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from zensim.api.topic import Topic
+    from zensim.api.world_picture import WorldPicture
     from zensim.api.world_recorder import WorldRecorder
 
 Handle = TypeVar("Handle", bound=EntityHandle)
@@ -447,6 +448,24 @@ class Simulation(ClosedOnExit):
         """
         self._session.check_open()
         return self._session.access.refresh().digest()
+
+    def picture(self, *, width: int = 960, height: int = 600) -> "WorldPicture":
+        """Take a picture of all that was spawned, from above one side; notebooks show it.
+
+        Args:
+            width: [pixels], 1 to 4096.
+            height: [pixels], 1 to 4096.
+
+        Raises:
+            Unsupported: Images cannot be made on this host.
+        """
+        self._session.check_open()
+        # Renderers take a while to import, and are missing without the server extra.
+        from zensim.api import world_picture  # noqa: PLC0415
+
+        check_whole("width", width, 1, world_picture.MAX_SIDE)
+        check_whole("height", height, 1, world_picture.MAX_SIDE)
+        return world_picture.make_picture(self._session.access, width, height)
 
     def cast_rays(
         self,

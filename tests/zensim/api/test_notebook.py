@@ -34,18 +34,23 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Cell]:
 def test_notebook_prints_a_row_for_each_robot(
     cells: list[Cell],
 ) -> None:
-    _, _, table, _, _ = cells
-
-    printed = "".join(table["outputs"][0]["text"]).splitlines()
+    printed = "".join(cells[4]["outputs"][0]["text"]).splitlines()
 
     assert len(printed) == 6
     assert all(2.7 < float(row.split()[1]) < 3.0 for row in printed[1:])
 
 
 def test_notebook_draws_the_paths(cells: list[Cell]) -> None:
-    picture = json.dumps(cells[3]["outputs"])
+    picture = json.dumps(cells[5]["outputs"])
 
     assert picture.count("<polyline") == 5
+
+
+def test_notebook_shows_the_world_as_a_picture_and_as_a_page(cells: list[Cell]) -> None:
+    picture, page = (json.dumps(cells[row]["outputs"]) for row in (1, 2))
+
+    assert "image/png" in picture
+    assert "<iframe src=" in page
 
 
 def test_notebook_is_kept_without_outputs() -> None:
