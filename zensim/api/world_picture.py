@@ -25,7 +25,7 @@ from zensim.spawner.spawn.spawn_poses import make_pose
 
 CAMERA = CameraSensor(width=960, height=600, near_m=0.05, far_m=1000.0, horizontal_fov_rad=0.8)
 MAX_SIDE = 4096
-"""Of a picture [pixels]."""
+"""Longest side of a picture [pixels]."""
 PITCH_RAD, YAW_RAD = 0.6, math.pi / 4.0
 MARGIN_M = 0.25
 """What is shown around the origins of the entities."""
