@@ -5,6 +5,11 @@ import numpy.typing as npt
 
 from zensim.proto.drives.column_math import ColumnMath
 
+
+def _all_true(condition: npt.NDArray[np.bool_]) -> bool:
+    return bool(condition.all())
+
+
 ARRAY_MATH: ColumnMath[npt.NDArray[np.float64]] = ColumnMath(
     minimum=np.minimum,
     maximum=np.maximum,
@@ -14,4 +19,5 @@ ARRAY_MATH: ColumnMath[npt.NDArray[np.float64]] = ColumnMath(
     cos=np.cos,
     tan=np.tan,
     arctan2=np.arctan2,
+    all_true=_all_true,
 )

@@ -20,7 +20,8 @@ Column = TypeVar("Column", float, "npt.NDArray[np.float64]")
 class ColumnMath(Generic[Column]):
     """Functions on columns, named as in numpy; a plain float stands for n equal numbers.
 
-    Formulas do not branch on columns: `where` computes both sides and selects.
+    Formulas do not branch on columns: `where` computes both sides and selects. `all_true` of a
+    condition spares what would select nothing.
     """
 
     minimum: Callable[[Column, Column | float], Column]
@@ -31,6 +32,7 @@ class ColumnMath(Generic[Column]):
     cos: Callable[[Column], Column]
     tan: Callable[[Column], Column]
     arctan2: Callable[[Column, Column], Column]
+    all_true: Callable[[Any], bool]
 
     def clamp(self, value: Column, limit: float) -> Column:
         """Keep a column between -limit and limit."""
@@ -50,5 +52,6 @@ FLOAT_MATH: ColumnMath[float] = ColumnMath(
     cos=math.cos,
     tan=math.tan,
     arctan2=math.atan2,
+    all_true=bool,
 )
 """One robot; the built-in functions are 4 to 15 times as fast as numpy on a single number."""

@@ -85,6 +85,10 @@ class DifferentialDrive(Generic[Column]):
             wheels = range(left, left + 2)
             errors = [desired[i] - measured.velocities[i] * self._radii[i] for i in wheels]
             has_reached = (abs(errors[0]) < REACHED_M_S) & (abs(errors[1]) < REACHED_M_S)
+            if xp.all_true(has_reached):  # as most of the time
+                rims += desired[left : left + 2]
+                kept += commanded[left : left + 2]
+                continue
             for i, error in zip(wheels, errors, strict=True):
                 step = xp.minimum(xp.maximum(error, -most), most)
                 stepped = _limit_step(commanded[i], desired[i], step, xp)

@@ -629,14 +629,15 @@ class SimulatedWorld:
                 self.engine.command(claimed.bodies, targets)
                 for name, own in claimed.joint_targets:
                     self._joint_targets[name] = targets[own]
-        self.applied_forces.apply(self.engine, self.entities.by_name, self.clock.time_ns)
+        if len(self.applied_forces):
+            self.applied_forces.apply(self.engine, self.entities.by_name, self.clock.time_ns)
         is_valid = self.engine.step()
         self.clock.steps += 1
         if not is_valid:
             self._has_invalid_body = True
             self._states = None
             self.states()
-        if self.clock.steps % self._fall_check_steps == 0:
+        if self.is_control_step and self.clock.steps % self._fall_check_steps == 0:
             self._watch_falls()
 
     @property
