@@ -18,9 +18,9 @@ import numpy as np
 
 import zensim
 from benchmarks.figures import Figure, table
-from zensim.api.in_process_server import InProcessServer
 from zensim.api.in_process_world import InProcessAccess
 from zensim.api.simulation import Simulation
+from zensim.api.world_host import WorldHost
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.start_settings import StartSettings
@@ -158,7 +158,7 @@ def _time_engine(robots: int, count: int) -> list[float]:
             physics=EngineSettings(engine="mujoco", engine_workers=0),
         ),
     )
-    server = InProcessServer(config)
+    server = WorldHost(config)
     simulation = Simulation(InProcessAccess(server))
     simulation.spawn_fleet("box_bot", count=robots).drive(0.3, 0.4)
     simulation.run_for(1.0)

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Error, Timeout
-from zensim.api.in_process_server import open_shared_store
 from zensim.api.in_process_world import World
 from zensim.api.simulation import fetch_models
+from zensim.api.world_host import open_shared_store
 from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, TrialResult
 from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice

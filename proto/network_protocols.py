@@ -19,6 +19,8 @@ Stamp = NewType("Stamp", object)
 MAX_REQUEST_ID_BYTES: Final = 64
 """Longest id of a request; ROS 2 uses 24 bytes, our clients 32."""
 
+MAX_REQUEST_BYTES: Final = 3 << 20
+"""Encoded size limit: decoding a larger request would delay the physics step."""
 MAX_COMMAND_BYTES: Final = 64 << 10
 """Largest command of one robot."""
 MAX_FLEET_COMMAND_BYTES: Final = 256 << 10

@@ -25,7 +25,12 @@ from zensim.proto.bus.session_opening import OPEN_TIMEOUTS_S, open_session
 from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, Sample, Stamp
+from zensim.proto.network_protocols import (
+    MAX_REQUEST_BYTES,
+    MAX_REQUEST_ID_BYTES,
+    Sample,
+    Stamp,
+)
 from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import (
@@ -53,8 +58,6 @@ MAX_COPIED_BYTES: Final = 32 << 20
 """Most bytes of payloads that a subscription of `subscribe_copying` keeps."""
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample, for one publisher on one key."""
-MAX_REQUEST_BYTES = 3 << 20
-"""Encoded size limit: decoding a larger request would delay the physics step."""
 Message = TypeVar("Message", bound=msgspec.Struct)
 MAX_TAKEN: Final = 256
 """Requests that one `take` returns, so that it takes about a millisecond at most."""

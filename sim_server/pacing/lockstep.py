@@ -74,6 +74,10 @@ class _SentState:
         return (reply.epoch, reply.step, reply.claims, reply.order) == own
 
 
+SentStates = tuple[tuple[str, tuple[int, int, bytes, int]], ...]
+"""Epoch, step, claims and order of the last state of each client."""
+
+
 class Lockstep:
     """Replies that the agents and sensor processes of one world owe, by name."""
 
@@ -156,6 +160,18 @@ class Lockstep:
             return not sent.is_awaited
         self._awaited.discard(client)
         return True
+
+    def save(self) -> SentStates:
+        """Take the last states of a world in which nobody is awaited."""
+        return tuple(
+            (client, (sent.epoch, sent.step, sent.claims, sent.order))
+            for client, sent in self._sent.items()
+        )
+
+    def load(self, saved: SentStates) -> None:
+        """Replace what `save` took."""
+        self._sent = {client: _SentState(*state, is_awaited=False) for client, state in saved}
+        self._awaited.clear()
 
     def find_late(self, now_ns: int) -> tuple[str, ...]:
         """Advance wall time; list the clients whose timeout has just ended.

@@ -21,9 +21,10 @@ from zensim.sim_server.input_log.log_writer import InputLog
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.command_timeouts import CommandReceipt, CommandTimeouts
 from zensim.sim_server.pacing.joined_clients import JoinedState
+from zensim.sim_server.pacing.lockstep import SentStates
 from zensim.sim_server.pacing.resting_agents import RestingAgents
 from zensim.sim_server.runtime.audit_trail import AuditedUsers, AuditTrail
-from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry
+from zensim.sim_server.runtime.contact_telemetry import ContactTelemetry, TouchingSensors
 from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_authorization import RequestAuthorization
 from zensim.sim_server.runtime.request_counts import RequestCounts
@@ -36,7 +37,7 @@ from zensim.sim_server.runtime.request_queue import (
 )
 from zensim.sim_server.runtime.sensor_sessions import SensorSessions
 from zensim.sim_server.runtime.world_map import make_world_map
-from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
+from zensim.sim_server.runtime.world_telemetry import DueTimes, WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts, ShareGrace
 from zensim.sim_server.services.service_registry import ServiceHandlers
 
@@ -51,6 +52,8 @@ busy machine, and are silent meanwhile."""
 RESEND_AFTER_NS = 20_000_000
 """Wall time after which a state is published again to an agent that has not replied."""
 LOG = logging.getLogger(__name__)
+SavedSessions = tuple[tuple[int, int], int, SentStates]
+"""Version and orders of the last states that were published, and these states."""
 
 
 class AgentSessions:
@@ -166,6 +169,15 @@ class AgentSessions:
                 self._publish_state(agent, state)
         self._world.commanded_twists.note_published()
         self._published_twists = changes
+
+    def save(self) -> SavedSessions:
+        """Take what tells which states agents have."""
+        return self._published_version, self._published_twists, self._lockstep.save()
+
+    def load(self, saved: SavedSessions) -> None:
+        """Replace what `save` took."""
+        self._published_version, self._published_twists, sent = saved
+        self._lockstep.load(sent)
 
     def must_wait(self) -> bool:
         """Whether the next step must wait; apply the settings of lockstep to late clients."""
@@ -303,6 +315,10 @@ class AgentSessions:
             self._world.claims.rejected["malformed"] += 1
             LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
             return
+        self.answer(agent, command)
+
+    def answer(self, agent: str, command: DriveCommand) -> None:
+        """Apply the command of an agent, if it may be applied to its last state."""
         if not self._lockstep.record_answer(agent, command):
             self._world.claims.rejected["step"] += 1
         elif self._world.command(agent, command):
@@ -367,6 +383,10 @@ class LoopClock(Protocol):
         """Sleep for a wall time."""
 
 
+SavedLoop = tuple[DueTimes, TouchingSensors, SavedSessions]
+"""State of a `ServerLoop` beside its world."""
+
+
 def _make_authorization(
     parts: ServerParts, users: AuditedUsers | None
 ) -> RequestAuthorization | None:
@@ -403,8 +423,10 @@ class ServerLoop:
         """Wall time of the last requested step."""
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
-        self._world_map = make_world_map(parts, publisher)
-        self._telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self._world_map)
+        self.world_map = make_world_map(parts, publisher)
+        """Map of what is fixed."""
+        self.telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self.world_map)
+        """Messages of the topics of the world."""
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._authorization = _make_authorization(parts, users)
         self._inputs = InputLog(
@@ -418,14 +440,15 @@ class ServerLoop:
         self._has_looked_at_all = True
         """Whether all pending requests were looked at since descriptions were parsed."""
         self._sensor_sessions = SensorSessions(parts, inbox, publisher)
-        self._agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
+        self.agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
+        """States to agents, and their commands."""
 
     def _make_dispatcher(
         self, parts: ServerParts, journal: ChangeJournal | None
     ) -> RequestDispatcher:
         made = RequestDispatcher(
             ServiceHandlers(parts),
-            self._telemetry,
+            self.telemetry,
             self._loop_stats,
             partial(keys.service, parts.world.name),
             journal,
@@ -438,6 +461,31 @@ class ServerLoop:
     def request_counts(self) -> RequestCounts:
         """Counts of handled requests."""
         return self._dispatcher.counts
+
+    def save(self) -> SavedLoop:
+        """Take the state beside that of the world; see `load`."""
+        return self.telemetry.save(), self._contacts.save(), self.agent_sessions.save()
+
+    def load(self, saved: SavedLoop) -> None:
+        """Replace what `save` took; the map is drawn again."""
+        due_times, touching, sessions = saved
+        self.telemetry.load(due_times)
+        self._contacts.load(touching)
+        self.agent_sessions.load(sessions)
+        self.world_map.restart()
+
+    def make_requested_steps(self, finish_step: Callable[[], None]) -> None:
+        """Make all requested steps of a paused world whose agents answer when they are called.
+
+        Args:
+            finish_step: Lets them answer the states that were published, after each step.
+        """
+        goals, clock = self._pacing.step_goals, self._world.clock
+        while goals.has_steps_left and clock.state == State.PAUSED:
+            self.tick(self._clock.now_ns())
+            finish_step()
+            goals.note_step()
+        goals.finish_completed()
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Run until `should_stop`, or until a request to quit has its reply."""
@@ -480,7 +528,7 @@ class ServerLoop:
         began_ns, self._paced_ns = self._clock.used_ns(), 0
         self.status.note_turn()
         self.serve()
-        if self._agent_sessions.must_wait():
+        if self.agent_sessions.must_wait():
             self._clock.sleep(POLL_S)
         else:
             self._finish_goals()
@@ -496,7 +544,7 @@ class ServerLoop:
         refusals_left = min(MAX_TURN_REFUSALS, MAX_BUSY_REFUSALS - self._busy_refusals)
         for call in self._inbox.take_calls():
             refusals_left -= self._queue(call, may_refuse=refusals_left > 0)
-        self._agent_sessions.serve()
+        self.agent_sessions.serve()
         self._sensor_sessions.serve()
         if self.node_answers is not None:
             self.node_answers.serve()
@@ -504,8 +552,8 @@ class ServerLoop:
             self._budget.begin_slice()
         self._handle_requests()
         self._reply_to_pending()
-        self._agent_sessions.publish_changed_claims()
-        self._agent_sessions.publish_ordered_twists()
+        self.agent_sessions.publish_changed_claims()
+        self.agent_sessions.publish_ordered_twists()
 
     def _queue(self, call: ServiceCall, *, may_refuse: bool) -> bool:
         """Let a request wait, refuse it or end it without a value; return whether it is refused."""
@@ -552,7 +600,7 @@ class ServerLoop:
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step; publish drive states and scene states if it is a control step."""
-        self._agent_sessions.stop_silent_agents(now_ns)
+        self.agent_sessions.stop_silent_agents(now_ns)
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         late_ns = max(0, now_ns - self._deadline_ns)
@@ -569,11 +617,11 @@ class ServerLoop:
             with self._publisher.hold_messages():
                 # First the contacts: an agent that replies to a state has them.
                 self._publish_contacts()
-                self._agent_sessions.publish_states()
+                self.agent_sessions.publish_states()
                 self._sensor_sessions.publish_state()
-            self._agent_sessions.wake_joined_clients()
+            self.agent_sessions.wake_joined_clients()
             if self.node_answers is not None and self._pacing.answers.has_topics:
-                self._publisher.publish(CLOCK, self._telemetry.clock())
+                self._publisher.publish(CLOCK, self.telemetry.clock())
                 self.node_answers.note_clock()
 
     def _publish_contacts(self) -> None:
@@ -589,15 +637,7 @@ class ServerLoop:
 
     def publish(self) -> None:
         """Publish events, progress, statistics and the topics that are due."""
-        for event in self._world.clock.take_events(MAX_EVENTS_PER_TURN):
-            LOG.info(
-                "event kind=%s entity=%s agent=%s message=%s",
-                event.kind,
-                event.entity,
-                event.agent,
-                event.message,
-            )
-            self._publisher.publish(EVENTS, event)
+        self.publish_events(MAX_EVENTS_PER_TURN)
         if self._authorization is not None:
             for record in self._authorization.audit.take():
                 self._publisher.publish(AUDIT, record)
@@ -606,12 +646,28 @@ class ServerLoop:
         if self._loop_stats.close_window(now_ns):
             self._busy_refusals = 0
             if self._publisher.is_wanted(STATS):
-                self._publisher.publish(STATS, self._telemetry.stats())
-        for topic in self._telemetry.due(now_ns):
-            if self._publisher.is_wanted(topic) and self._telemetry.can_make(topic):
-                self._publisher.publish(topic, self._telemetry.message(topic))
-        self._world_map.poll(now_ns)
+                self._publisher.publish(STATS, self.telemetry.stats())
+        self.publish_due(now_ns)
         self._inputs.poll(now_ns)
+
+    def publish_events(self, most: int | None = None) -> None:
+        """Publish events, `most` of them; the others stay."""
+        for event in self._world.clock.take_events(most):
+            LOG.info(
+                "event kind=%s entity=%s agent=%s message=%s",
+                event.kind,
+                event.entity,
+                event.agent,
+                event.message,
+            )
+            self._publisher.publish(EVENTS, event)
+
+    def publish_due(self, now_ns: int) -> None:
+        """Publish the topics that are due at a time, and the map if it has changed."""
+        for topic in self.telemetry.due(now_ns):
+            if self._publisher.is_wanted(topic) and self.telemetry.can_make(topic):
+                self._publisher.publish(topic, self.telemetry.message(topic))
+        self.world_map.poll(now_ns)
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)

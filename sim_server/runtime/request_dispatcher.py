@@ -11,13 +11,12 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.codec.message_codec import (
     MalformedPayload,
 )
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
-from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, ServiceCall
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES, MAX_REQUEST_ID_BYTES, ServiceCall
 from zensim.proto.service_catalog import (
     CLAIM_ENTITY,
     CLAIM_SHARE,

@@ -51,6 +51,10 @@ class WorldMap:
         self._parts = parts
         self._is_wanted, self._publish_message = is_wanted, publish
         self._serve_late_subscribers = serve_late_subscribers
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what is drawn, and the time of the last look."""
         self._limiter = RateLimiter(CHECK_HZ)
         self._version: tuple[object, ...] = ()
         """Changes whenever an entity may have been added, moved or removed."""

@@ -10,7 +10,6 @@ import typer
 from rich.table import Table
 
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.cli_options import (
     ClientOptions,
     JsonOption,
@@ -22,6 +21,7 @@ from zensim.proto.cli_options import (
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.path_completion import WORLD_SUFFIXES
 from zensim.proto.verbosity import CURRENT

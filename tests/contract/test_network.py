@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from tests.fakes import MemoryBus
 from tests.integration.processes import eventually, free_endpoint
-from zensim.api.in_process_network import InProcessNetwork
 from zensim.proto import keys
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import NoServer
@@ -24,9 +23,7 @@ from zensim.proto.network_protocols import Query, Sample, Subscription, TopicNet
 from zensim.proto.service_catalog import DELETE_ENTITY
 
 WITHIN_S = 60.0
-KINDS = ("zenoh", "memory", "process")
-WITH_TOKENS = ("zenoh", "memory")
-"""In one process a call is a function call, and all parts live equally long."""
+KINDS = ("zenoh", "memory")
 
 
 class Pair:
@@ -46,10 +43,6 @@ class Pair:
         if isinstance(self.near, MemoryBus):
             self.near.pumps.append(serve)
             return self.near.get(key)
-        if isinstance(self.near, InProcessNetwork):
-            asked = self.near.query(key)
-            serve()
-            return asked.samples
         found: list[list[Sample]] = []
         assert isinstance(self.near, Bus)
         get = self.near.get
@@ -58,10 +51,6 @@ class Pair:
         while thread.is_alive():
             serve()
         return found[0]
-
-
-def refuse_calls(*_: object) -> object:
-    raise AssertionError("no service is called")
 
 
 @pytest.fixture(scope="module")
@@ -77,18 +66,12 @@ def paired(kind: str, router: Bus) -> Iterator[Pair]:
         with open_bus(config) as near, open_bus(config) as far:
             yield Pair(near, far)
         return
-    one: TopicNetwork = MemoryBus() if kind == "memory" else InProcessNetwork(refuse_calls)
+    one = MemoryBus()
     yield Pair(one, one)
 
 
 @pytest.fixture(params=KINDS)
 def pair(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
-    with paired(request.param, router) as made:
-        yield made
-
-
-@pytest.fixture(params=WITH_TOKENS)
-def caller(request: pytest.FixtureRequest, router: Bus) -> Iterator[Pair]:
     with paired(request.param, router) as made:
         yield made
 
@@ -424,33 +407,33 @@ def call_until_served(pair: Pair, request_id: str = "") -> DeleteEntityResponse:
     return eventually(attempt, WITHIN_S, "a server")
 
 
-def test_a_call_without_a_server_is_refused(caller: Pair) -> None:
+def test_a_call_without_a_server_is_refused(pair: Pair) -> None:
     with pytest.raises(NoServer):
-        call(caller)
+        call(pair)
 
 
-def test_a_call_returns_the_response_and_has_its_id(caller: Pair) -> None:
-    seen = serve_once(caller, DeleteEntityResponse(Result(ResultCode.OK)))
+def test_a_call_returns_the_response_and_has_its_id(pair: Pair) -> None:
+    seen = serve_once(pair, DeleteEntityResponse(Result(ResultCode.OK)))
 
-    assert call_until_served(caller, "again").result.result == ResultCode.OK
+    assert call_until_served(pair, "again").result.result == ResultCode.OK
     assert seen == [b"again"]
 
 
-def test_a_refused_call_raises_its_code(caller: Pair) -> None:
-    serve_once(caller, DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "no r1")))
+def test_a_refused_call_raises_its_code(pair: Pair) -> None:
+    serve_once(pair, DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "no r1")))
 
     with pytest.raises(ServiceError, match="no r1") as refusal:
-        call_until_served(caller)
+        call_until_served(pair)
 
     assert refusal.value.code == ResultCode.NOT_FOUND
 
 
-def test_tokens_are_listed_and_watched(caller: Pair) -> None:
-    near, far = caller.near, caller.far
+def test_tokens_are_listed_and_watched(pair: Pair) -> None:
+    near, far = pair.near, pair.far
     assert isinstance(near, Bus | MemoryBus)
     assert isinstance(far, Bus | MemoryBus)
     first = near.token("t/one")
-    caller.wait(lambda: far.list_tokens("t/*") == ["t/one"], "the first token")
+    pair.wait(lambda: far.list_tokens("t/*") == ["t/one"], "the first token")
     watch = far.watch_tokens("t/*")
     changes: list[tuple[str, bool]] = []
 
@@ -461,11 +444,11 @@ def test_tokens_are_listed_and_watched(caller: Pair) -> None:
 
         return look
 
-    caller.wait(has(("t/one", True)), "the present token")
+    pair.wait(has(("t/one", True)), "the present token")
     second = near.token("t/two")
-    caller.wait(has(("t/one", True), ("t/two", True)), "the second token")
+    pair.wait(has(("t/one", True), ("t/two", True)), "the second token")
     first.close()
-    caller.wait(has(("t/one", True), ("t/two", True), ("t/one", False)), "the end")
+    pair.wait(has(("t/one", True), ("t/two", True), ("t/one", False)), "the end")
     second.close()
     watch.close()
 

@@ -16,7 +16,7 @@ from zensim.proto import keys
 from zensim.proto.bus import bus_session, session_files, session_opening
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import EndpointTaken, EndpointUnreachable, NoServer
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES, MAX_TAKEN, Bus, open_bus
+from zensim.proto.bus.bus_session import MAX_TAKEN, Bus, open_bus
 from zensim.proto.bus.session_files import find_max_sessions
 from zensim.proto.bus.zenoh_config import MAX_QUERY_BYTES, WILDCARD_HZ
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
@@ -24,7 +24,7 @@ from zensim.proto.endpoints import check_endpoint, with_free_port
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest
-from zensim.proto.network_protocols import MAX_COMMAND_BYTES
+from zensim.proto.network_protocols import MAX_COMMAND_BYTES, MAX_REQUEST_BYTES
 from zensim.proto.renewed_session import MAX_RETIRED
 from zensim.proto.service_catalog import DELETE_ENTITY, INFO
 

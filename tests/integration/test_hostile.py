@@ -9,10 +9,10 @@ import zenoh
 from tests.hostile.case import Case
 from tests.hostile.corpus import corpus
 from tests.integration.processes import Server, eventually, serving
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.bus.zenoh_config import MAX_QUERY_BYTES
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES
 
 EVERY = 6
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes import ManualClock, MemoryBus
-from zensim.api.in_process_network import InProcessSubscriberWatch
 from zensim.proto.keys import intersect
+from zensim.proto.memory_bus import MemorySubscriberWatch
 from zensim.proto.subscriber_search import (
     MAX_NAMED,
     SEARCH_PERIOD_S,
@@ -237,7 +237,7 @@ class OpeningBus(MemoryBus):
         super().__init__()
         self.opened: list[tuple[str, ...]] = []
 
-    def watch_subscribers(self, patterns: Iterable[str]) -> InProcessSubscriberWatch:
+    def watch_subscribers(self, patterns: Iterable[str]) -> MemorySubscriberWatch:
         self.opened.append(tuple(patterns))
         return super().watch_subscribers(patterns)
 

@@ -8,8 +8,8 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
-from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState
 from zensim.proto.messages.model_messages import Model, Sensor
@@ -72,7 +72,7 @@ class Robots:
             ]
         )
 
-    def listen(self, key: str) -> InProcessSubscription:
+    def listen(self, key: str) -> MemorySubscription:
         subscription = self.bus.subscribe(key, 1000)
         for _ in range(5):
             self.robots.reply_to_queries()
@@ -88,7 +88,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def received(subscription: InProcessSubscription) -> list[ContactsState]:
+def received(subscription: MemorySubscription) -> list[ContactsState]:
     return [decode(ContactsState, one.payload, one.encoding) for one in subscription.take()]
 
 

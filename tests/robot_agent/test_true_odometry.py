@@ -9,8 +9,8 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.models import a_state
 from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
-from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.model_messages import (
     GroundTruth,
     Origin,
@@ -38,7 +38,7 @@ def make_telemetry(bus: MemoryBus, *plugins: GroundTruth) -> TrueOdometryTelemet
     return TrueOdometryTelemetry(TopicFactory(bus), a_claim(model=model))
 
 
-def messages(listener: InProcessSubscription) -> list[Odometry]:
+def messages(listener: MemorySubscription) -> list[Odometry]:
     return [decode(Odometry, one.payload, one.encoding) for one in listener.take()]
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from zensim.api.api_errors import Error
-from zensim.api.in_process_network import InProcessSubscription, Undeclared
-from zensim.api.in_process_server import InProcessServer
+from zensim.api.world_host import WorldHost
 from zensim.api.world_recorder import WorldRecorder
+from zensim.proto.memory_bus import MemorySubscription, MemoryTokenWatch
 from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import Sample
@@ -31,9 +31,7 @@ MIN_FREE_BYTES: Final = 256 << 20
 class InProcessRecorder(WorldRecorder):
     """Records by the calls of its world; the caller waits for the disk."""
 
-    def __init__(
-        self, server: InProcessServer, path: Path, topics: Sequence[str], rate: float
-    ) -> None:
+    def __init__(self, server: WorldHost, path: Path, topics: Sequence[str], rate: float) -> None:
         """Begin to record; see `Simulation.record`.
 
         Raises:
@@ -129,9 +127,9 @@ class InProcessRecorder(WorldRecorder):
 class RecordedWorld:
     """A world of this process as the network of a recorder."""
 
-    def __init__(self, server: InProcessServer) -> None:
+    def __init__(self, server: WorldHost) -> None:
         self._server = server
-        self._subscriptions: list[InProcessSubscription] = []
+        self._subscriptions: list[MemorySubscription] = []
         self._clock_key = CLOCK.key(server.world.name)
 
     def subscribe(self, key: str, depth: int = 1) -> "WorldSubscription":
@@ -156,10 +154,9 @@ class RecordedWorld:
         found = self._server.get(self._find_key(key))
         return [_rename(one, key) for one in found] if key in ROOT_TOPICS else found
 
-    def watch_tokens(self, key: str) -> Undeclared:
-        """Watch nothing: there are no ROS 2 nodes."""
-        del key
-        return Undeclared()
+    def watch_tokens(self, key: str) -> MemoryTokenWatch:
+        """Watch tokens; there are no ROS 2 nodes."""
+        return self._server.network.watch_tokens(key)
 
     def call(
         self,
@@ -193,7 +190,7 @@ class RecordedWorld:
 class WorldSubscription:
     """Messages of a world, on a root topic with its key."""
 
-    def __init__(self, subscription: InProcessSubscription, root: str) -> None:
+    def __init__(self, subscription: MemorySubscription, root: str) -> None:
         self._subscription = subscription
         self._root = root
 

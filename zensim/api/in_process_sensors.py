@@ -1,6 +1,6 @@
 """InProcessSensors: lidars and cameras of a world in process, measured for subscribers only."""
 
-from zensim.api.in_process_network import InProcessNetwork
+from zensim.proto.memory_bus import MemoryBus
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.sensor_schedule import is_due
@@ -18,9 +18,7 @@ NAME = "sensors"
 class InProcessSensors:
     """Publishes the sensors as a sensor process does: at the same steps, with the same bytes."""
 
-    def __init__(
-        self, world: SimulatedWorld, network: InProcessNetwork, faults: TopicFaults
-    ) -> None:
+    def __init__(self, world: SimulatedWorld, network: MemoryBus, faults: TopicFaults) -> None:
         """Read the entities.
 
         Args:

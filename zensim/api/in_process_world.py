@@ -11,14 +11,15 @@ import msgspec
 from zensim.api.api_errors import Closed, Invalid, Timeout, Unsupported
 from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
-from zensim.api.in_process_network import InProcessSubscription
-from zensim.api.in_process_server import CLIENT, NO_RATES, POOL, InProcessServer
 from zensim.api.simulation import Simulation, read_world_keywords
 from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
+from zensim.api.world_host import CLIENT, NO_RATES, WorldHost
+from zensim.api.world_pool import POOL
 from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.api.world_view import WorldView
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
@@ -47,7 +48,7 @@ NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a
 class InProcessFeed(TopicFeed[Message]):
     """Messages of one topic of this process."""
 
-    def __init__(self, subscription: InProcessSubscription, kind: type[Message]) -> None:
+    def __init__(self, subscription: MemorySubscription, kind: type[Message]) -> None:
         self._subscription = subscription
         self._kind = kind
 
@@ -67,7 +68,7 @@ class InProcessAccess(WorldAccess):
 
     has_own_clock = False
 
-    def __init__(self, server: InProcessServer) -> None:
+    def __init__(self, server: WorldHost) -> None:
         self.server = server
         self.world_name = server.world.name
         self._process_id = os.getpid()
@@ -225,9 +226,9 @@ class World(Simulation):
         """
         settings = read_world_keywords(world, options, IN_PROCESS)
         with api_errors():
-            self._open(InProcessServer(ServerConfig(settings=settings), rates))
+            self._open(WorldHost(ServerConfig(settings=settings), rates))
 
-    def _open(self, server: InProcessServer) -> None:
+    def _open(self, server: WorldHost) -> None:
         self._server = server
         self._access = InProcessAccess(server)
         super().__init__(self._access)
@@ -299,7 +300,7 @@ class World(Simulation):
             )
         config = self._server.config.requested or self._server.config
         other = World.__new__(World)
-        other._open(InProcessServer(config, self._server.rates))  # noqa: SLF001
+        other._open(WorldHost(config, self._server.rates))  # noqa: SLF001
         other.restore(self.snapshot())
         return other
 
@@ -312,7 +313,7 @@ class World(Simulation):
         raise Unsupported("a world in process does not run by itself", hint=NO_CLOCK_HINT)
 
 
-def get_server(world: World) -> InProcessServer:
+def get_server(world: World) -> WorldHost:
     """Return what is behind a world: for what is built on it, such as `zensim.envs`.
 
     Raises:

@@ -47,7 +47,6 @@ from zensim.api.world_session import (
     make_not_found,
 )
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.fault_messages import (
     FOR_EVER,
@@ -59,6 +58,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetS
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Vector3
 from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES
 from zensim.proto.service_catalog import INJECT_FAULT, Request, Response, Service
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.setting import change_settings

@@ -14,8 +14,8 @@ MESSAGES: Final = "zensim.proto.messages."
 STATE_MODULES: Final = frozenset(
     f"zensim.{name}"
     for name in (
-        "api.in_process_network",
-        "api.in_process_server",
+        "proto.memory_bus",
+        "api.world_host",
         "api.world_session",
         "proto.codec.cdr",
         "proto.codec.cdr_batch",

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound
-from zensim.api.in_process_server import InProcessServer
+from zensim.api.world_host import WorldHost
 from zensim.envs.world_layout import FloatArray, IntArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensor_messages import Environment, ImuSensor, RaySensor
@@ -37,7 +37,7 @@ class BatchSensors:
 
     def __init__(
         self,
-        server: InProcessServer,
+        server: WorldHost,
         layout: WorldLayout,
         worlds: int,
         names: Sequence[SensorName],
@@ -132,7 +132,7 @@ def _require_equal(name: str, settings: Sequence[object]) -> None:
 class BatchLidars:
     """The lidars of all robots of all worlds, cast at once."""
 
-    def __init__(self, server: InProcessServer, layout: WorldLayout, worlds: int) -> None:
+    def __init__(self, server: WorldHost, layout: WorldLayout, worlds: int) -> None:
         """Prepare the scenes; see `BatchSensors`."""
         self._layout = layout
         roster = SceneRoster(ServiceClient(server.network, server.world.name).models())

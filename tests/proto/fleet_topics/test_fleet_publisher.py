@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
-from zensim.api.in_process_network import InProcessPublisher, InProcessSubscriberWatch
 from zensim.proto.codec import cdr
 from zensim.proto.fleet_topics.attachment_rows import AttachmentRows
 from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
@@ -17,6 +16,7 @@ from zensim.proto.fleet_topics.ros_fleet_publisher import (
     RosFleetPublisher,
 )
 from zensim.proto.fleet_topics.topic_members import NAMED, OTHERS, TopicMember
+from zensim.proto.memory_bus import MemoryPublisher, MemorySubscriberWatch
 from zensim.proto.messages.standard_messages import Range, String
 from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2 import ros_graph
@@ -124,7 +124,7 @@ class CountingBus(MemoryBus):
         super().__init__()
         self.published_keys: list[str] = []
 
-    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+    def advertise(self, key: str, encoding: str) -> MemoryPublisher:
         publisher = super().advertise(key, encoding)
         send = publisher.send
 
@@ -400,7 +400,7 @@ class DeclaringBus(CountingBus):
         super().__init__()
         self.declared: list[str] = []
 
-    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+    def advertise(self, key: str, encoding: str) -> MemoryPublisher:
         self.declared.append(key)
         return super().advertise(key, encoding)
 
@@ -539,7 +539,7 @@ class WatchCountingBus(DeclaringBus):
         super().__init__()
         self.opened_watches = 0
 
-    def watch_subscribers(self, patterns: Iterable[str]) -> InProcessSubscriberWatch:
+    def watch_subscribers(self, patterns: Iterable[str]) -> MemorySubscriberWatch:
         self.opened_watches += 1
         return super().watch_subscribers(patterns)
 

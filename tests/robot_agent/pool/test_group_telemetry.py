@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from tests.fakes import ManualClock, MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
-from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto import message_paths
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.model_messages import Frame, GroundTruth, Model, Origin
@@ -218,7 +218,7 @@ class PoolOnRos:
         self.pool.publish()
 
 
-def messages(received: InProcessSubscription) -> list[TFMessage]:
+def messages(received: MemorySubscription) -> list[TFMessage]:
     return [decode(TFMessage, sample.payload, sample.encoding) for sample in received.take()]
 
 

@@ -3,10 +3,10 @@
 import pytest
 
 from tests.fakes import MemoryBus, MemoryCall
-from zensim.api.in_process_network import InProcessPublisher
 from zensim.proto import keys
 from zensim.proto.bus.bus_session import BusPublisher
 from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.memory_bus import MemoryPublisher
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.network_protocols import ServiceCall
 from zensim.proto.ros2.ros_graph import RosGraph
@@ -21,7 +21,7 @@ class NonBlockingBus(MemoryBus):
     """A memory bus whose callers do not wait for the reply."""
 
     def put_call(self, key: str) -> None:
-        for queue in self._queues:
+        for queue in self.queues:
             queue.calls.append(MemoryCall(key, b"", "", b""))
 
 
@@ -109,7 +109,7 @@ class CountingBus(MemoryBus):
         super().__init__()
         self.open: list[str] = []
 
-    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+    def advertise(self, key: str, encoding: str) -> MemoryPublisher:
         self.open.append(key)
         publisher = super().advertise(key, encoding)
         publisher.close = lambda: self.open.remove(key)  # type: ignore[method-assign]
@@ -201,4 +201,4 @@ def test_publisher_publishes_again_for_an_agent_that_returns() -> None:
 
 
 def test_memory_publisher_has_the_methods_of_the_bus_publisher() -> None:
-    assert {"send", "close", "is_matched"} <= set(dir(BusPublisher)) & set(dir(InProcessPublisher))
+    assert {"send", "close", "is_matched"} <= set(dir(BusPublisher)) & set(dir(MemoryPublisher))

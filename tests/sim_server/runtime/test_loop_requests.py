@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import ServerFixture, a_server, answer_of, names_in
-from zensim.proto.bus.bus_session import MAX_REQUEST_BYTES
 from zensim.proto.codec.message_codec import Format, detect_format, encode, make_encoding
 from zensim.proto.messages.entity_messages import GetEntitiesRequest, GetEntitiesResponse
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
@@ -27,6 +26,7 @@ from zensim.proto.messages.telemetry_messages import (
     Stats,
     WorldClock,
 )
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES
 from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.physics.engine import EngineLost
 

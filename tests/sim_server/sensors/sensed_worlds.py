@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 
 from tests.fakes import ManualClock, MemoryBus
-from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.sensor_messages import (
@@ -111,7 +111,7 @@ class SensedWorld:
         """End a process; its tokens disappear."""
         self.processes.pop(name).close()
 
-    def listen(self, key: str) -> InProcessSubscription:
+    def listen(self, key: str) -> MemorySubscription:
         """Subscribe, and let the processes become active."""
         heard = self.bus.subscribe(key, 1000)
         self.run(0.3)
@@ -173,6 +173,6 @@ class SensedWorld:
         return GetAssetResponse(data=data[request.offset :][:100], total=len(data))
 
 
-def scans_of(heard: InProcessSubscription) -> list[tuple[str, LaserScan]]:
+def scans_of(heard: MemorySubscription) -> list[tuple[str, LaserScan]]:
     """Take the scans heard: key and message."""
     return [(one.key, decode(LaserScan, one.payload, one.encoding)) for one in heard.take()]

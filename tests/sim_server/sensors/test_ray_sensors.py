@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.sim_server.sensors.sensed_worlds import NOISE, SensedWorld, a_lidar, a_robot, a_wall, at
-from zensim.api.in_process_network import InProcessSubscription
 from zensim.proto.codec.message_codec import decode
+from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.sensor_messages import RaySensor, ScanAxis, SensorTopic
 from zensim.proto.messages.standard_messages import (
@@ -27,7 +27,7 @@ FAN = ScanAxis(3, -math.pi / 4, math.pi / 4)
 WALL_M = 2.0
 
 
-def sense(sensor: Sensor, *, x: float = 0.0, step: int = 24) -> InProcessSubscription:
+def sense(sensor: Sensor, *, x: float = 0.0, step: int = 24) -> MemorySubscription:
     """Measure once before a wall that is 2 m ahead of x = 0."""
     world = SensedWorld()
     world.spawn("wall", a_wall(WALL_M), at(0.0))

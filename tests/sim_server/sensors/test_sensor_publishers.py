@@ -1,7 +1,7 @@
 """Topics of the sensors of many robots."""
 
 from tests.fakes import MemoryBus
-from zensim.api.in_process_network import InProcessPublisher
+from zensim.proto.memory_bus import MemoryPublisher
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.subscriber_search import (
@@ -23,7 +23,7 @@ class DeclaringBus(MemoryBus):
         super().__init__()
         self.declared: list[str] = []
 
-    def advertise(self, key: str, encoding: str) -> InProcessPublisher:
+    def advertise(self, key: str, encoding: str) -> MemoryPublisher:
         self.declared.append(key)
         return super().advertise(key, encoding)
 

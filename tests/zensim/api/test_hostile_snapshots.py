@@ -126,7 +126,7 @@ def test_snapshot_that_is_a_pickle_is_refused_and_not_run(world: World, tmp_path
         ([["subprocess:Popen", "args"]], ["object", 0, "true"]),
         ([["zensim.api.in_process_world:World"]], ["object", 0]),
         ([["zensim.proto.child_process:ChildProcess"]], ["object", 0]),
-        ([["zensim.api.in_process_server:sys"]], ["class", 0]),
+        ([["zensim.api.world_host:sys"]], ["class", 0]),
         ([], ["method", "system", ["fixed", "world"]]),
         ([], ["method", "save", ["fixed", "world"]]),
         ([["zensim.sim_server.world.entity_store:EntityStore", "find"]], ["object", 0, 1]),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import zensim
-from zensim.api.in_process_server import InProcessServer
+from zensim.api.world_host import WorldHost
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
@@ -57,37 +57,37 @@ MUJOCO = ServerConfig(
 
 
 @pytest.fixture
-def server() -> Iterator[InProcessServer]:
-    found = InProcessServer(MUJOCO)
+def server() -> Iterator[WorldHost]:
+    found = WorldHost(MUJOCO)
     yield found
     found.close()
 
 
-def spawn(server: InProcessServer, *names: str) -> None:
+def spawn(server: WorldHost, *names: str) -> None:
     poses = [PoseStamped(pose=Pose(Point(2.0 * row, 0.0, 0.0))) for row in range(len(names))]
     orders = [SpawnEntity(name, initial_pose=pose) for name, pose in zip(names, poses, strict=True)]
     common = SpawnEntityOrder(entity_resource=Resource("box_bot"), snap_to_ground=True)
     server.call(SPAWN_ENTITIES, SpawnEntitiesOrder(tuple(orders), common=common))
 
 
-def read_base(server: InProcessServer) -> np.ndarray:
+def read_base(server: WorldHost) -> np.ndarray:
     return np.frombuffer(server.snapshot().base).reshape(-1, STATE_COLUMNS)
 
 
-def send_twist(server: InProcessServer, name: str, v: float, w: float) -> None:
+def send_twist(server: WorldHost, name: str, v: float, w: float) -> None:
     message = Twist(Vector3(v), Vector3(0.0, 0.0, w))
     publisher = server.network.advertise(f"{name}/cmd_vel", make_encoding(message, Format.CDR))
     publisher.send(encode(message, Format.CDR))
 
 
-def test_a_spawned_robot_is_claimed_by_the_pool_at_once(server: InProcessServer) -> None:
+def test_a_spawned_robot_is_claimed_by_the_pool_at_once(server: WorldHost) -> None:
     spawn(server, "r1", "r2")
 
     assert server.world.claims.agent_of("r1") == server.world.claims.agent_of("r2") == "pool"
 
 
 def test_a_robot_drives_as_its_newest_cmd_vel_says_until_the_timeout(
-    server: InProcessServer,
+    server: WorldHost,
 ) -> None:
     spawn(server, "r1")
     server.step(120)
@@ -101,14 +101,14 @@ def test_a_robot_drives_as_its_newest_cmd_vel_says_until_the_timeout(
     assert abs(read_base(server)[0, 7]) < 1e-2
 
 
-def test_requested_steps_are_made_before_the_response(server: InProcessServer) -> None:
+def test_requested_steps_are_made_before_the_response(server: WorldHost) -> None:
     response = server.call(SIMULATE_STEPS, SimulateStepsRequest(7))
 
     assert response.completed_steps == 7
     assert server.world.clock.steps == 7
 
 
-def test_a_refusal_is_that_of_a_server(server: InProcessServer) -> None:
+def test_a_refusal_is_that_of_a_server(server: WorldHost) -> None:
     spawn(server, "r1")
     order = SpawnEntityOrder("r1", entity_resource=Resource("box_bot"))
 
@@ -119,14 +119,14 @@ def test_a_refusal_is_that_of_a_server(server: InProcessServer) -> None:
     assert refused.value.code_name == "NAME_NOT_UNIQUE"
 
 
-def test_a_request_of_a_wrong_type_is_refused_as_malformed(server: InProcessServer) -> None:
+def test_a_request_of_a_wrong_type_is_refused_as_malformed(server: WorldHost) -> None:
     with pytest.raises(ServiceError) as refused:
         server.call(DELETE_ENTITY, DeleteEntityRequest(7))  # type: ignore[arg-type]
 
     assert refused.value.code == ResultCode.OPERATION_FAILED
 
 
-def test_deleted_robots_are_not_driven_any_more(server: InProcessServer) -> None:
+def test_deleted_robots_are_not_driven_any_more(server: WorldHost) -> None:
     spawn(server, "r1", "r2")
 
     server.call(DELETE_ENTITY, DeleteEntityRequest("r1"))
@@ -136,7 +136,7 @@ def test_deleted_robots_are_not_driven_any_more(server: InProcessServer) -> None
     assert len(server.world.claims) == 1
 
 
-def test_equal_orders_after_a_reset_give_equal_bytes(server: InProcessServer) -> None:
+def test_equal_orders_after_a_reset_give_equal_bytes(server: WorldHost) -> None:
     def run() -> bytes:
         spawn(server, "r1", "r2")
         send_twist(server, "r2", 0.4, 0.5)
@@ -146,7 +146,7 @@ def test_equal_orders_after_a_reset_give_equal_bytes(server: InProcessServer) ->
     first = run()
     server.call(RESET_SIMULATION, ResetSimulationRequest())
     second = run()
-    other = InProcessServer(MUJOCO)
+    other = WorldHost(MUJOCO)
     server, other = other, server
     third = run()
     server.close()
@@ -154,7 +154,7 @@ def test_equal_orders_after_a_reset_give_equal_bytes(server: InProcessServer) ->
     assert first == second == third
 
 
-def test_odometry_is_published_to_a_subscriber_in_this_process(server: InProcessServer) -> None:
+def test_odometry_is_published_to_a_subscriber_in_this_process(server: WorldHost) -> None:
     spawn(server, "r1")
     odom = server.subscribe("r1/odom", 8)
     description = server.subscribe("r1/robot_description", 1)
@@ -170,7 +170,7 @@ def test_odometry_is_published_to_a_subscriber_in_this_process(server: InProcess
     assert "box_bot" in decode(String, text.payload, text.encoding).data
 
 
-def test_events_are_published_to_subscribers_only(server: InProcessServer) -> None:
+def test_events_are_published_to_subscribers_only(server: WorldHost) -> None:
     spawn(server, "r1")
     events = server.network.subscribe("sim/default/events", 16)
 
@@ -181,7 +181,7 @@ def test_events_are_published_to_subscribers_only(server: InProcessServer) -> No
     assert known == [("spawned", "r2"), ("claimed", "r2")]
 
 
-def test_another_world_is_loaded_at_once(server: InProcessServer) -> None:
+def test_another_world_is_loaded_at_once(server: WorldHost) -> None:
     spawn(server, "r1")
 
     server.call(LOAD_WORLD, LoadWorldRequest(Resource("walls")))
@@ -197,7 +197,7 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
         "<max_step_size>0.01</max_step_size></physics></world></sdf>"
     )
 
-    server = InProcessServer(
+    server = WorldHost(
         ServerConfig(
             settings=ServerSettings(
                 start=StartSettings(world=str(file), paused=True),
@@ -212,15 +212,13 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
 
 def test_an_unknown_world_is_a_wrong_configuration() -> None:
     with pytest.raises(ConfigError):
-        InProcessServer(
-            ServerConfig(settings=ServerSettings(start=StartSettings(world="no_such_world")))
-        )
+        WorldHost(ServerConfig(settings=ServerSettings(start=StartSettings(world="no_such_world"))))
 
 
 def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:
     program = (
         "import sys\n"
-        "from zensim.api.in_process_server import InProcessServer\n"
+        "from zensim.api.world_host import WorldHost\n"
         "from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder\n"
         "from zensim.proto.service_catalog import SPAWN_ENTITY\n"
         "from zensim.proto.settings.engine_settings import EngineSettings\n"
@@ -228,7 +226,7 @@ def test_a_world_in_process_loads_neither_network_nor_mesh_libraries() -> None:
         "from zensim.sim_server.server_config import ServerConfig\n"
         "physics = EngineSettings(engine='mujoco', engine_workers=0)\n"
         "config = ServerConfig(settings=ServerSettings(physics=physics))\n"
-        "server = InProcessServer(config)\n"
+        "server = WorldHost(config)\n"
         "server.call(SPAWN_ENTITY, SpawnEntityOrder(entity_resource=Resource('box_bot')))\n"
         "print(*sorted({'zenoh', 'scipy', 'trimesh', 'yourdfpy', 'typer', 'pybullet'}"
         " & sys.modules.keys()))\n"
