@@ -281,9 +281,14 @@ class WorldHost:
                 recorder.take()
         self._loop.publish_events()
 
-    def _answer(self) -> None:
-        """Let the pool answer the states that were published."""
+    def _answer(self, *, only_orders: bool = False) -> None:
+        """Let the pool answer the states that were published.
+
+        Orders between two control steps act at the next one.
+        """
         for state in self._output.take_states():
+            if only_orders and not self.pool.robots.repeats(state):
+                continue
             if (command := self.pool.answer(state)) is not None:
                 self._loop.agent_sessions.answer(POOL, command)
 
@@ -464,7 +469,7 @@ class WorldHost:
 
     def _make_requested_steps(self) -> None:
         self._loop.agent_sessions.publish_ordered_twists()
-        self._answer()
+        self._answer(only_orders=True)
         self._check_publishers()
         self._loop.make_requested_steps(self._finish_step)
 

@@ -149,3 +149,17 @@ def test_has_sent_is_true_for_the_claims_of_this_epoch() -> None:
     assert lockstep.has_sent("a", state(6))
     assert not lockstep.has_sent("a", state(6, epoch=1))
     assert not lockstep.has_sent("a", state(6, claims=b""))
+
+
+def test_saved_states_are_known_again_and_await_nobody() -> None:
+    lockstep, other = a_lockstep(), a_lockstep()
+    lockstep.record_sent("b", state(3), 0)
+    lockstep.record_answer("b", command(3))
+    other.record_sent("c", state(9), 0)
+
+    other.load(lockstep.save())
+
+    assert other.save() == (("b", (0, 3, CLAIMS, 0)),)
+    assert other.has_sent("b", state(4))
+    assert not other.has_sent("c", state(9))
+    assert not other.is_waiting

@@ -327,3 +327,15 @@ def test_loop_reports_the_cpu_time_that_delayed_a_step() -> None:
     server.turn_for(1.1)
 
     assert server.parts.pacing.loop_stats.busy_max_s == pytest.approx(0.007, abs=1e-3)
+
+
+def test_requested_steps_of_a_paused_world_are_made_in_one_call() -> None:
+    server = a_server("r1")
+    server.world.clock.pause()
+    goal = server.parts.pacing.step_goals.add(5)
+    finished: list[int] = []
+
+    server.loop.make_requested_steps(lambda: finished.append(server.world.clock.steps))
+
+    assert finished == [1, 2, 3, 4, 5]
+    assert goal.status == "succeeded"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import zensim
+from zensim.api.in_process_world import get_server
 from zensim.api.world_host import WorldHost
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
@@ -249,3 +250,15 @@ def test_callbacks_of_a_world_in_process_start_no_thread() -> None:
         world.run_for(0.5)
 
         assert seen
+
+
+def test_an_order_between_control_steps_acts_at_the_next_one() -> None:
+    def run(wait: int) -> bytes:
+        with zensim.World(seed=1) as world:
+            world.spawn("box_bot", name="r1")
+            world.step(3 + wait)
+            world.robots["r1"].drive(0.3, 0.2)
+            world.step(12 - wait)
+            return get_server(world).snapshot().base
+
+    assert run(1) == run(2)
