@@ -397,7 +397,13 @@ def _make_authorization(
 
 
 class ServerLoop:
-    """Loop of one world."""
+    """Loop of one world.
+
+    Attributes:
+        telemetry: Messages of the topics of the world.
+        world_map: Map of what is fixed.
+        agent_sessions: States to agents, and their commands.
+    """
 
     def __init__(
         self,
@@ -424,9 +430,7 @@ class ServerLoop:
         self._paced_ns = 0
         self._factor = parts.pacing.target_real_time_factor
         self.world_map = make_world_map(parts, publisher)
-        """Map of what is fixed."""
         self.telemetry = WorldTelemetry(parts.world, parts.pacing, parts.sensors, self.world_map)
-        """Messages of the topics of the world."""
         self._contacts = ContactTelemetry(parts.world, parts.store.vertices)
         self._authorization = _make_authorization(parts, users)
         self._inputs = InputLog(
@@ -441,7 +445,6 @@ class ServerLoop:
         """Whether all pending requests were looked at since descriptions were parsed."""
         self._sensor_sessions = SensorSessions(parts, inbox, publisher)
         self.agent_sessions = AgentSessions(parts, inbox, publisher, self._sensor_sessions)
-        """States to agents, and their commands."""
 
     def _make_dispatcher(
         self, parts: ServerParts, journal: ChangeJournal | None
