@@ -62,7 +62,7 @@ demo: $(DEMO_STAMP) ## ten robots in one world, and the address of the page that
 
 packages: # Debian packages that the tests use
 	@sh .ci/need chromium=chromium,chromium-browser,google-chrome iproute2=ip strace=strace \
-		systemd=systemd-analyze nodejs=node npm=npm openssl=openssl libegl1 libgl1-mesa-dri
+		systemd=systemd-analyze nodejs=node npm=npm openssl=openssl mosquitto=mosquitto libegl1 libgl1-mesa-dri
 	@sh .ci/promtool >/dev/null
 
 # Side by side, but those of a file one after another: they share a server. Tests of processes often
@@ -182,7 +182,7 @@ sizes: setup ## packages and size on disk of each extra, as in docs/packages.md
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server demo all cameras viewer xacro foxglove dataset plot top rl ray metrics base; do \
+	@set -e; for name in dev server demo all cameras viewer xacro foxglove vda5050 dataset plot top rl ray metrics base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \

@@ -140,6 +140,11 @@ VERBS: dict[str, Verb] = {
         "zensim.foxglove.cli",
         "Serve the topics of a world to Foxglove.",
     ),
+    "vda5050": Verb(
+        "Programs",
+        "zensim.vda5050.cli",
+        "Serve robots as VDA 5050 vehicles to a fleet manager, by MQTT.",
+    ),
     "record": Verb(
         "Recordings",
         "zensim.recording.cli.record_commands",

@@ -10,7 +10,8 @@ from zensim.proto.exit_codes import ExitCode
 
 WITHOUT_EXTRAS = """
 import sys, pkgutil, importlib
-for name in ("pybullet", "scipy", "trimesh", "lxml", "viser", "websockets", "prometheus_client"):
+packages = "pybullet", "scipy", "trimesh", "lxml", "viser", "websockets", "paho"
+for name in (*packages, "prometheus_client"):
     sys.modules[name] = None
 """
 IMPORT_ALL = """
@@ -64,6 +65,7 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
         (("test", "first_minutes"), "server"),
         (("view",), "viewer"),
         (("foxglove",), "foxglove"),
+        (("vda5050",), "vda5050"),
         (("record", "--all", "--metrics", "9464"), "metrics"),
     ],
 )

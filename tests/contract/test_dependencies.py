@@ -19,6 +19,7 @@ EXTRA_OF = {
     "spawner/page/": {"", "viewer"},
     "proto/operation_server.py": {"", "metrics"},
     "zensim/foxglove/": {"", "foxglove"},
+    "zensim/vda5050/": {"", "vda5050"},
     "spawner/top/top_app.py": {"", "top"},
     "zensim/envs/": {"", "rl"},
     "zensim/recording/series_chart.py": {"", "plot"},
@@ -73,7 +74,7 @@ def importable(extras: frozenset[str]) -> frozenset[str]:
 def extras_of(path: Path) -> frozenset[str]:
     name = shown(path)
     if name.startswith("tests/"):
-        ours = {"server", "viewer", "top", "dataset", "rl"}
+        ours = {"server", "viewer", "vda5050", "top", "dataset", "rl"}
         return frozenset({"", *ours, "metrics", "dev"})
     return frozenset(next((ours for part, ours in EXTRA_OF.items() if name.startswith(part)), {""}))
 
@@ -152,7 +153,7 @@ def test_hint_of_a_missing_engine_knows_where_pybullet_has_a_wheel(
 def test_all_has_each_extra_of_users() -> None:
     text = text_of(ROOT / "pyproject.toml").partition("[project.optional-dependencies]")[2]
     named = re.findall(r"^([a-z0-9]+) = \[", text.partition("\n[")[0], re.M)
-    chosen = re.findall(r'^  "zensim\[([a-z,]+)\]', text, re.M)
+    chosen = re.findall(r'^  "zensim\[([a-z0-9,]+)\]', text, re.M)
 
     assert "server" in named
     assert set(",".join(chosen).split(",")) == set(named) - {"all", "dev"}

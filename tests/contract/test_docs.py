@@ -23,7 +23,7 @@ BLOCK_FLAGS = re.MULTILINE | re.DOTALL
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(
     r"(?:^|`|\s)(?:\.venv/bin/)?zensim "
-    r"((?:(?:bag|state|info|token|world) )?[a-z][a-z-]*)([^`\n|&;#]*)"
+    r"((?:(?:bag|state|info|token|world) )?[a-z][a-z0-9-]*)([^`\n|&;#]*)"
 )
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}

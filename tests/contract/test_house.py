@@ -65,7 +65,9 @@ def test_map_draws_the_imports_of_the_tree() -> None:
     assert drawn == found
 
 
-@pytest.mark.parametrize("package", ["robot_agent", "sim_server", "foxglove", "recording", "envs"])
+@pytest.mark.parametrize(
+    "package", ["robot_agent", "sim_server", "foxglove", "recording", "envs", "vda5050"]
+)
 def test_packages_below_the_screens_import_the_client_only(package: str) -> None:
     imported = {
         one

@@ -115,6 +115,7 @@ WITHOUT_METHOD = {
     "join": "keeps a token for later; in Python, connect(token=...)",
     "journal": "reads files of servers that have ended",
     "foxglove": "a program beside the simulation",
+    "vda5050": "a program beside the simulation",
     "teleop": "keys of a terminal; Robot.drive",
     "top": "a screen of a terminal; topics and statistics have its figures",
     "replay": "a program beside the simulation: it publishes a file",
