@@ -4,8 +4,10 @@ From the exec of `zensim up --json` to its line that says that every robot has p
 and with the page also that it is served; then from Ctrl-C until no process is left. `ready_s` is
 the time in that line: without the start of the interpreter, and without the page. One run before is
 not counted, so that the disk cache is warm. `CPU until ready` is the CPU time of all processes by
-then, which other programs hardly change. Floor: as many interpreters at once that only import the
-outside libraries of agents and server.
+then, which other programs hardly change. `idle`: ten robots drive circles with the page and ROS 2,
+and nobody watches, with an agent for each robot and with a pool: cores of all programs, and their
+memory as proportional sets (PSS) and as resident sets, which count shared pages in each. Floor: as
+many interpreters at once that only import the outside libraries of agents and server.
 """
 
 import signal
@@ -15,15 +17,21 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import psutil
+
 from benchmarks.figures import Figure, table
 from benchmarks.machine import used_s
 from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT
+from benchmarks.up_programs import find_programs
 from tests.integration.processes import children, read_json_line, running
 
 __all__ = ["rows", "table"]
 
 RUNS = 5
 PAGES = {"without page": ("--no-viewer",), "with page": ("--port", "0", "--no-open")}
+AGENTS = ("per-robot", "pooled")
+SETTLED_S, IDLE_S = 5.0, 10.0
+MIB = 1 << 20
 AGENT = "import zenoh, msgspec, xxhash"
 SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, lxml.etree"
 
@@ -44,6 +52,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     for page, options in list(PAGES.items())[-1:] if is_short else PAGES.items():
         runs = [_run(robots, options) for _ in range(1 if is_short else RUNS + 1)]
         yield from _figures(f"{robots} robots, {page}", runs if is_short else runs[1:])
+    for agents in AGENTS:
+        yield from _measure_idling(robots, agents, is_short=is_short)
     floors = [_import_all(robots) for _ in range(1 if is_short else RUNS + 1)]
     yield Figure(
         what=f"floor: {robots + 1} interpreters import libraries",
@@ -72,6 +82,31 @@ def _run(robots: int, options: tuple[str, ...]) -> Run:
         up.wait(10.0)
         end_s = time.perf_counter()
     return Run(ready_s - start_s, float(str(line["ready_s"])), worked_s, end_s - ready_s)
+
+
+def _measure_idling(robots: int, agents: str, *, is_short: bool) -> Iterator[Figure]:
+    """Measure programs that nobody watches, by program and together."""
+    arguments = ("up", "--json", "--listen", "tcp/127.0.0.1:0", "--robots", str(robots))
+    with running(*arguments, *PAGES["with page"], "--agents", agents) as up:
+        ready_s = float(str(read_json_line(up)["ready_s"]))
+        time.sleep(0.0 if is_short else SETTLED_S)
+        programs = {group: pids for group, pids in find_programs(up).items() if pids}
+        before = {pid: used_s(pid) for pids in programs.values() for pid in pids}
+        began_s = time.monotonic()
+        time.sleep(1.0 if is_short else IDLE_S)
+        passed_s = time.monotonic() - began_s
+        cores = {pid: (used_s(pid) - used) / passed_s for pid, used in before.items()}
+        sets = {pid: psutil.Process(pid).memory_full_info() for pid in before}
+    what = f"{robots} robots idle, {agents}"
+    yield Figure(what=f"{what}: ready_s", unit="s", samples=(ready_s,))
+    for group, pids in {"all programs": tuple(before), **programs}.items():
+        figures = {
+            "cores": sum(cores[pid] for pid in pids),
+            "MiB, PSS": sum(sets[pid].pss for pid in pids) / MIB,
+            "MiB, RSS": sum(sets[pid].rss for pid in pids) / MIB,
+        }
+        for unit, number in figures.items():
+            yield Figure(what=f"{what}: {group}", unit=unit, samples=(number,))
 
 
 def _import_all(robots: int) -> float:

@@ -5,7 +5,6 @@ a user is read here (`tests/contract/test_bounded_files.py`).
 """
 
 import errno
-import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -119,6 +118,9 @@ def hash_file(path: Path) -> tuple[str, int]:
     Raises:
         OSError: See `open_regular_file`.
     """
+    # OpenSSL, which takes 3.6 MB to load, is three times as fast.
+    import hashlib  # noqa: PLC0415
+
     digest, size = hashlib.sha256(), 0
     for piece in read_pieces(path):
         digest.update(piece)

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import NamedTuple, NoReturn
+from typing import IO, NamedTuple, NoReturn, Protocol, TypeVar
 
 from zensim.proto.process_limits import (
     KILLED_STATUS,
@@ -107,7 +107,40 @@ def run_process(
     return ProcessOutcome(process.returncode, output)
 
 
-def end_processes(grace_s: Mapping["subprocess.Popen[bytes]", float]) -> None:
+class Process(Protocol):
+    """A child process: `subprocess.Popen`, or `AdoptedProcess` of `process_copies`."""
+
+    pid: int
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit status as of the last `poll` or `wait`, negative for a signal."""
+
+    @property
+    def stdin(self) -> IO[bytes] | None:
+        """Pipe to it."""
+
+    @property
+    def stdout(self) -> IO[bytes] | None:
+        """Pipe from it."""
+
+    def poll(self) -> int | None:
+        """Find the exit status; None while it runs."""
+
+    def wait(self) -> int:
+        """Block until it has ended; return its status."""
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+
+
+ProcessT = TypeVar("ProcessT", bound=Process)
+
+
+def end_processes(grace_s: Mapping[ProcessT, float]) -> None:
     """Send SIGTERM in this order, again at half of each time [s], SIGKILL after it; reap all.
 
     At the second SIGTERM a server ends without finishing the requests that it has accepted.
@@ -128,7 +161,7 @@ def end_processes(grace_s: Mapping["subprocess.Popen[bytes]", float]) -> None:
         close_pipes(process)
 
 
-def _end(process: "subprocess.Popen[bytes]", left_s: float) -> bool:
+def _end(process: Process, left_s: float) -> bool:
     """Kill a process that has no time left; return whether it has ended."""
     if process.poll() is None and left_s <= 0.0:
         process.kill()
@@ -136,7 +169,7 @@ def _end(process: "subprocess.Popen[bytes]", left_s: float) -> bool:
     return process.returncode is not None
 
 
-def close_pipes(process: "subprocess.Popen[bytes]") -> None:
+def close_pipes(process: Process) -> None:
     """Close the parent's ends of a child's stdin and stdout."""
     for stream in (process.stdin, process.stdout):
         if stream is not None:

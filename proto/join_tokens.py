@@ -8,7 +8,6 @@ have them in PEM below the short form instead, where Zenoh reads them at each co
 
 import base64
 import binascii
-import hashlib
 import os
 import re
 import textwrap
@@ -20,6 +19,7 @@ import msgspec
 from zensim.proto.bounded_files import read_file
 from zensim.proto.endpoints import check_endpoint
 from zensim.proto.names import check_name
+from zensim.proto.sha256 import sha256
 
 PREFIX: Final = "zs1"
 PASSWORD_BYTES, FINGERPRINT_BYTES = 16, 32
@@ -219,7 +219,7 @@ def hide_token(address: str) -> str:
 
 def hash_revoked_password(password: bytes) -> bytes:
     """Make the digest by which the owner of a password, and nobody else, finds it revoked."""
-    return hashlib.sha256(b"zensim revoked " + password).digest()[:REVOKED_DIGEST_BYTES]
+    return sha256(b"zensim revoked " + password).digest()[:REVOKED_DIGEST_BYTES]
 
 
 def write_pem(label: str, der: bytes) -> str:

@@ -1,7 +1,6 @@
 """Names that resemble a mistyped one, for messages."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from itertools import islice
 from typing import Final
 
@@ -13,6 +12,8 @@ MOST_NAMED: Final = 5
 
 def list_near(name: str, known: Iterable[str], *, most: int = MOST_NAMED) -> list[str]:
     """List the names that resemble a name, the nearest first."""
+    from difflib import get_close_matches  # noqa: PLC0415 - for a mistake only
+
     return get_close_matches(name, list(islice(known, MOST_COMPARED)), most, CUTOFF)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from importlib.metadata import version
@@ -133,9 +132,8 @@ class StatusRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
         self.wfile.write(body)
 
 
-@contextmanager
-def served_status(address: str, status: ProgramStatus) -> Iterator[OperationServer | None]:
-    """Serve the status of a program while the block runs; nothing if the address is empty.
+def open_operation_server(address: str, status: ProgramStatus) -> OperationServer:
+    """Serve the status of a program until it is closed.
 
     Args:
         address: `[HOST:]PORT` of `--metrics`.
@@ -144,17 +142,10 @@ def served_status(address: str, status: ProgramStatus) -> Iterator[OperationServ
     Raises:
         UnusableMetrics: The address cannot be used, or the client library is not installed.
     """
-    if not address:
-        yield None
-        return
     host, port = parse_metrics_address(address)
     try:
-        server = OperationServer(host, port, status)
+        return OperationServer(host, port, status)
     except OSError as error:
         raise UnusableMetrics(
             f"`metrics` {address} cannot be used: {error.strerror}; use another port"
         ) from error
-    try:
-        yield server
-    finally:
-        server.close()

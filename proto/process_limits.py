@@ -35,7 +35,7 @@ fcntl, msvcrt = _import_if_there("fcntl"), _import_if_there("msvcrt")
 
 PARENT_PID_VARIABLE = "ZENSIM_PARENT"
 """Environment variable with the process id of the supervisor."""
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 PARENT_POLL_S = 0.5
 LOCKED_OFFSET = 1 << 30
 """Offset of the byte that Windows locks: beyond the end, so that others can read the file."""
@@ -80,6 +80,13 @@ def die_with_parent(signal_number: signal.Signals = SIGKILL, *, parent: int | No
     # Its end before the call above sends nothing.
     if parent is not None and os.getppid() != parent:
         sys.exit(f"parent process {parent} has ended, so this one ends; see {PARENT_PID_VARIABLE}")
+
+
+def set_subreaper(*, is_one: bool) -> None:
+    """Let this process get the children of its descendants that end, or no longer; Linux only."""
+    prctl = _find_prctl()
+    if prctl is not None:
+        prctl(PR_SET_CHILD_SUBREAPER, int(is_one), 0, 0, 0)
 
 
 def _find_prctl() -> Callable[..., int] | None:

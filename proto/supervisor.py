@@ -5,15 +5,19 @@ import os
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from zensim.proto.child_process import (
+    CAN_COPY,
+    Process,
     close_pipes,
     end_processes,
     make_module_command,
     start_process,
 )
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.process_copies import AdoptedProcess
+from zensim.proto.process_limits import PARENT_PID_VARIABLE, set_subreaper
 from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE
 
@@ -27,6 +31,11 @@ STEADY_S = 5.0
 MAX_RESTARTS = 20
 CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.api.prepared_start"
 """Modules to run: with command-line arguments, or with JSON settings."""
+COPIES_SUFFIX = "s"
+"""End of the verb of `PREPARED_START_MODULE` that makes a copy for each of its settings."""
+MAX_COPIES = 64
+"""Copies of one process: their settings are one argument, of 128 KiB at most."""
+COPIES_TIMEOUT_S = 10.0
 
 
 class ProgramDied(Exception):
@@ -54,7 +63,7 @@ class SupervisedProgram:
     is_essential: bool = True
     """Whether the others cannot do without it."""
     module: str = CLI_MODULE
-    process: "subprocess.Popen[bytes] | None" = None
+    process: Process | None = None
     is_restarted_if_killed: bool = False
     """Whether it is restarted, though not `is_restarted`, if a signal has ended it."""
     restarts: int = 0
@@ -68,6 +77,25 @@ class SupervisedProgram:
     """Monotonic time of the next start; infinite = it is not started again."""
 
 
+@dataclass(frozen=True)
+class PendingCopies:
+    """A process that makes copies of itself, one for each of these programs."""
+
+    original: "subprocess.Popen[bytes]"
+    programs: Sequence[SupervisedProgram]
+
+    def take(self) -> None:
+        """Give each program its process; if that failed, let each start alone."""
+        assert self.original.stdout is not None
+        pids = self.original.stdout.read().split()
+        close_pipes(self.original)
+        is_done = self.original.returncode == 0 and len(pids) == len(self.programs)
+        for program, pid in zip(self.programs, pids, strict=False) if is_done else ():
+            program.process = AdoptedProcess(int(pid))
+        for program in self.programs:
+            program.restart_at_s = 0.0
+
+
 @dataclass
 class Supervisor:
     """Owner of processes; `close` ends all."""
@@ -76,6 +104,43 @@ class Supervisor:
     errors: int | None = None
     """File descriptor of the programs' standard error; None = that of this process."""
     programs: list[SupervisedProgram] = field(default_factory=list)
+    _pending: list[PendingCopies] = field(default_factory=list)
+
+    def start_alike(self, verb: str, settings: Mapping[str, str]) -> None:
+        """Start a program for each of these JSON settings, by name; they are restarted.
+
+        Where a process can be copied, they share what they import: see `process_copies`.
+        """
+        programs = [
+            SupervisedProgram(name, (verb, text), is_restarted=True, module=PREPARED_START_MODULE)
+            for name, text in settings.items()
+        ]
+        self.programs += programs
+        if not CAN_COPY or len(programs) <= 1:
+            for program in programs:
+                program.process = self._start_process(program)
+            return
+        set_subreaper(is_one=True)
+        for first in range(0, len(programs), MAX_COPIES):
+            self._copy(verb, programs[first : first + MAX_COPIES])
+
+    def _copy(self, verb: str, programs: Sequence[SupervisedProgram]) -> None:
+        texts = ",".join(program.arguments[1] for program in programs)
+        arguments = (verb + COPIES_SUFFIX, f"[{texts}]")
+        original = SupervisedProgram(verb, arguments, module=PREPARED_START_MODULE)
+        for program in programs:
+            program.started_s, program.restart_at_s = time.monotonic(), math.inf
+        self._pending.append(PendingCopies(self._start_process(original), programs))
+
+    def _take_copies(self, timeout_s: float = 0.0) -> None:
+        """Take the copies of processes that have ended, at most after a time."""
+        for pending in tuple(self._pending):
+            with suppress(subprocess.TimeoutExpired):
+                pending.original.wait(timeout_s)
+                pending.take()
+                self._pending.remove(pending)
+                if not self._pending:
+                    set_subreaper(is_one=False)
 
     def start(
         self,
@@ -101,6 +166,8 @@ class Supervisor:
         Raises:
             ProgramDied: An essential process exited that is not restarted.
         """
+        if self._pending:
+            self._take_copies()
         for program in self.programs:
             if program.process is None:
                 if time.monotonic() >= program.restart_at_s:
@@ -123,6 +190,7 @@ class Supervisor:
 
     def close(self) -> None:
         """End all processes: SIGTERM, then SIGKILL after the grace period."""
+        self._take_copies(COPIES_TIMEOUT_S)
         # The server ends last, so that the others still have a network.
         last = [one for one in reversed(self.programs) if one.process is not None]
         end_processes({one.process: one.grace_s for one in last if one.process is not None})

@@ -28,12 +28,12 @@ from zensim.proto.metric_families import (
     make_gauge,
 )
 from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
-from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
+from zensim.proto.served_status import served_status
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.subscriber_search import SubscriberWatches

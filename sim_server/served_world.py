@@ -17,8 +17,8 @@ import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it
 from zensim.proto import keys
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.operation_server import served_status
 from zensim.proto.ros2.node_services import NodeParameter, NodeParameters, ParameterContent
+from zensim.proto.served_status import served_status
 from zensim.proto.settings.setting import read_settings
 from zensim.sim_server.initial_world import load_initial_world, make_initial_world, make_parts
 from zensim.sim_server.journal.server_journal import open_journal

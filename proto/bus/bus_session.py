@@ -1,6 +1,5 @@
 """A session of Zenoh, and what it declares, asks and calls."""
 
-import hashlib
 import os
 import threading
 import time
@@ -41,6 +40,7 @@ from zensim.proto.service_catalog import (
     Service,
     require_ok,
 )
+from zensim.proto.sha256 import sha256
 from zensim.proto.token_thread import TokenThread
 
 if TYPE_CHECKING:
@@ -613,7 +613,7 @@ class BusQuery:
         given = attachment.to_bytes()[: MAX_REQUEST_ID_BYTES + 1] if attachment else b""
         if not (self.user and given) or len(given) > MAX_REQUEST_ID_BYTES:
             return given
-        return hashlib.sha256(b"%s/%s" % (self.user.encode(), given)).digest()
+        return sha256(b"%s/%s" % (self.user.encode(), given)).digest()
 
     @property
     def name(self) -> str:
@@ -1149,7 +1149,7 @@ class Bus:
         """Find by what the retry of a spawn is known; empty for other services."""
         if service.name not in SPAWNS:
             return "", b""
-        return key, hashlib.sha256(encode(request, Format.MSGPACK)).digest()
+        return key, sha256(encode(request, Format.MSGPACK)).digest()
 
     def _keep_for_retry(self, retry: tuple[str, bytes], request_id: str) -> None:
         if retry[0]:

@@ -1,6 +1,5 @@
 """RIHS01 type hashes of messages and services, computed from struct types."""
 
-import hashlib
 import json
 from functools import cache
 from typing import Final, TypedDict, cast
@@ -10,6 +9,7 @@ from msgspec import inspect
 
 from zensim.proto.codec.cdr_layout import find_ros_class, unwrap_metadata
 from zensim.proto.messages.standard_messages import Time
+from zensim.proto.sha256 import sha256
 
 RIHS_PREFIX: Final = "RIHS01_"
 NESTED: Final = 1
@@ -128,7 +128,7 @@ def _collect_types(name: str, known: dict[str, TypeDescription]) -> WholeDescrip
 
 
 def _hash_description(whole: WholeDescription) -> str:
-    return RIHS_PREFIX + hashlib.sha256(json.dumps(whole).encode()).hexdigest()
+    return RIHS_PREFIX + sha256(json.dumps(whole).encode()).hexdigest()
 
 
 def _describe(message_type: type[msgspec.Struct], known: dict[str, TypeDescription]) -> str:

@@ -27,9 +27,8 @@ from zensim.sim_server.security.secure_folder import SecureFolder, open_secure_f
 from zensim.sim_server.security.user_sessions import SessionChange
 
 if TYPE_CHECKING:
-    import subprocess
-
     from zensim.proto.bus.bus_session import LivelinessToken
+    from zensim.proto.child_process import Process
 
 LOG = logging.getLogger(__name__)
 POLL_S: Final = 0.05
@@ -170,7 +169,7 @@ class StartedRouter:
     def __init__(
         self,
         folder: SecureFolder,
-        process: "subprocess.Popen[bytes] | None",
+        process: "Process | None",
         on_listening: Callable[[], None],
     ) -> None:
         self._folder = folder

@@ -27,7 +27,6 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample
-from zensim.proto.operation_server import served_status
 from zensim.proto.poll_schedule import PollSchedule
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
@@ -39,6 +38,7 @@ from zensim.proto.sensor_libraries import (
     parse_missing,
 )
 from zensim.proto.sensor_schedule import count_due, find_true_rate_hz, is_due
+from zensim.proto.served_status import served_status
 from zensim.proto.stats_publisher import StatsPublisher, read_process_usage
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.subscriber_search import SubscriberWatches

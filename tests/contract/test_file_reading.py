@@ -14,6 +14,7 @@ OWN = {
     "proto/bounded_files.py": "the functions themselves",
     "proto/child_process.py": "pipes of child processes",
     "proto/package_versions.py": OF_THE_PACKAGE,
+    "proto/process_copies.py": OF_THE_KERNEL,
     "proto/process_limits.py": OF_THE_KERNEL,
     "proto/schema.py": "files of the source, in development",
     "sim_server/description/builtin_models.py": OF_THE_PACKAGE,

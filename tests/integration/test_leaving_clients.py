@@ -33,8 +33,8 @@ from zensim.foxglove.live_hub import LiveHub
 from zensim.proto.codec.message_codec import encode
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import WorldClock
-from zensim.proto.operation_server import served_status
 from zensim.proto.program_status import ProgramStatus
+from zensim.proto.served_status import served_status
 from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.web_access import PageAccess
 from zensim.sim_server.parser_process.mesh_server import MeshServer

@@ -15,9 +15,9 @@ from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_c
 from zensim.proto.metrics_address import UnusableMetrics
 from zensim.proto.operation_server import (
     OperationServer,
-    served_status,
 )
 from zensim.proto.program_status import ProgramStatus
+from zensim.proto.served_status import served_status
 
 HISTOGRAM = DurationHistogram()
 HISTOGRAM.add(3_000_000)

@@ -1,10 +1,13 @@
 """Supervisor with real processes."""
 
+import json
 import os
+import re
 import signal
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 
 import psutil
 import pytest
@@ -58,7 +61,8 @@ def find_pid(program: SupervisedProgram) -> int:
 def wait_for_exit(program: SupervisedProgram) -> int:
     process = program.process
     assert process is not None
-    return eventually(lambda: process.poll() is not None, ENDS_S) and process.returncode
+    eventually(lambda: process.poll() is not None, ENDS_S, "its end")
+    return process.wait()
 
 
 def is_up_after_watch(supervisor: Supervisor, program: SupervisedProgram) -> bool:
@@ -68,6 +72,68 @@ def is_up_after_watch(supervisor: Supervisor, program: SupervisedProgram) -> boo
 
 def is_gone(pid: int) -> bool:
     return not psutil.pid_exists(pid)
+
+
+def an_agent(name: str) -> str:
+    """Settings of an agent that waits for ten minutes."""
+    config = {"entities": [name], "wait_s": 600.0}
+    return json.dumps({"endpoint": NOWHERE, "config": config, "is_quiet": True})
+
+
+def names_only(process: psutil.Process, robot: str) -> bool:
+    """Whether a command line names this robot, and no other of `r1` to `r3`."""
+    return re.findall(r'"(r[1-3])"', " ".join(process.cmdline())) == [robot]
+
+
+def is_down_after_watch(supervisor: Supervisor, log: RestartLog) -> bool:
+    supervisor.watch()
+    return bool(log.restarts)
+
+
+def test_programs_that_are_alike_are_children_with_settings_of_their_own(
+    supervisor: Supervisor, restart_log: RestartLog
+) -> None:
+    settings = {name: an_agent(name) for name in ("r1", "r2", "r3")}
+    supervisor.start_alike("agent", settings)
+    programs = list(supervisor.programs)
+    for program in programs:
+        eventually(partial(is_up_after_watch, supervisor, program), ENDS_S, "a process")
+
+    for program, name in zip(programs, settings, strict=True):
+        process = psutil.Process(find_pid(program))
+        eventually(partial(names_only, process, name), ENDS_S, "its settings")
+        assert process.ppid() == os.getpid()
+        assert os.getsid(process.pid) == process.pid
+
+    psutil.Process(first := find_pid(programs[0])).kill()
+    eventually(partial(is_down_after_watch, supervisor, restart_log), ENDS_S, "its end")
+    eventually(lambda: is_up_after_watch(supervisor, programs[0]), ENDS_S, "a process again")
+    assert restart_log.restarts == [("r1", -9)]
+    assert find_pid(programs[0]) != first
+
+
+def test_programs_that_are_alike_start_one_by_one_when_their_copies_fail(
+    supervisor: Supervisor, capfd: pytest.CaptureFixture[str]
+) -> None:
+    supervisor.start_alike("agent", {"r1": an_agent("r1"), "r2": "{}"})
+    first, _ = supervisor.programs
+
+    eventually(lambda: is_up_after_watch(supervisor, first), ENDS_S, "a process")
+
+    assert psutil.Process(find_pid(first)).ppid() == os.getpid()
+    supervisor.close()
+    assert "endpoint" in capfd.readouterr().err
+
+
+def test_end_takes_programs_whose_copies_are_not_made_yet(supervisor: Supervisor) -> None:
+    supervisor.start_alike("agent", {name: an_agent(name) for name in ("r1", "r2")})
+    before = set(psutil.Process().children(recursive=True))
+
+    supervisor.close()
+
+    assert before
+    assert not any(one.is_running() for one in before)
+    assert psutil.Process().children(recursive=True) == []
 
 
 def test_program_runs_in_its_own_session(supervisor: Supervisor) -> None:

@@ -437,9 +437,9 @@ def start_programs(
         programs = _count_programs(config)
         require_files(programs + SPARE_SESSIONS, f"a server with {programs} programs")
     server = supervisor.start("server", make_serve_arguments(config))
-    for name, start in make_agent_starts(config).items():
-        words = ("agent", msgspec.json.encode(start).decode())
-        supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
+    agents = make_agent_starts(config)
+    settings = {name: msgspec.json.encode(start).decode() for name, start in agents.items()}
+    supervisor.start_alike("agent", settings)
 
     def watch() -> None:
         supervisor.watch()

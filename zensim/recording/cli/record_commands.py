@@ -39,11 +39,11 @@ from zensim.proto.metric_families import (
     make_labelled,
 )
 from zensim.proto.names import check_name
-from zensim.proto.operation_server import served_status
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
+from zensim.proto.served_status import served_status
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import (
     CURRENT,
