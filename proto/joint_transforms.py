@@ -11,6 +11,8 @@ from zensim.proto.rigid_transforms import multiply, normalize, rotate, rotate_ab
 from zensim.proto.se3 import FloatArray
 
 POSE_COLUMNS: Final = 7
+ODOMETRY: Final = -1
+"""Stands for odometry among the joints of moving frames."""
 
 
 class JointTransforms:
@@ -50,3 +52,35 @@ class JointTransforms:
             moved = rotate((ox, oy, oz, ow), (shift[..., 0], shift[..., 1], shift[..., 2]))
             found[:, slides, :3] += np.stack(moved, axis=-1)
         return found
+
+
+class FramePoses:
+    """Poses of moving frames of equal robots, in the order of their transforms.
+
+    Pools publish them, and recorders make them of the odometry of a fleet: with equal bytes.
+    """
+
+    def __init__(self, columns: Sequence[int], joints: Sequence[Joint]) -> None:
+        """Stack the constants.
+
+        Args:
+            columns: Of the position of each frame's joint, or `ODOMETRY`.
+            joints: In this order, without odometry.
+        """
+        of_frames = np.array(columns, dtype=np.int64)
+        self._count = len(of_frames)
+        self._is_joint = of_frames != ODOMETRY
+        self._columns = of_frames[self._is_joint]
+        self._joints = JointTransforms(joints)
+
+    def find(self, motions: FloatArray, positions: FloatArray) -> FloatArray:
+        """Find the poses, (m, 7 * frames).
+
+        Args:
+            motions: Pose of the base in its odometry frame, and more, (m, 7 or more).
+            positions: Of joints [rad or m], (m, ...).
+        """
+        found = np.empty((len(motions), self._count, POSE_COLUMNS))
+        found[:, self._is_joint] = self._joints.poses(positions[:, self._columns])
+        found[:, ~self._is_joint] = motions[:, None, :POSE_COLUMNS]
+        return found.reshape(len(motions), -1)

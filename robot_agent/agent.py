@@ -344,7 +344,7 @@ class RobotSet(HousekeepingTarget, Protocol):
         """Publish what contact sensors feel."""
 
 
-REST_POLL_S = 0.005
+REST_POLL_S = 0.01
 """Period of a pool that polls for commands while it needs no states."""
 CONTACTS_DEPTH = 64
 """Control steps whose contacts may wait."""

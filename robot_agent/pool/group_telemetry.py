@@ -13,7 +13,7 @@ from zensim.proto.codec.cdr_batch import CdrBatch
 from zensim.proto.codec.cdr_layout import HEADER_BYTES
 from zensim.proto.fleet_topics.fleet_publisher import FleetTopicPublisher
 from zensim.proto.fleet_topics.topic_members import NAMED, OTHERS, UNWANTED, TopicMember
-from zensim.proto.joint_transforms import POSE_COLUMNS, JointTransforms
+from zensim.proto.joint_transforms import ODOMETRY, FramePoses
 from zensim.proto.message_paths import list_tf_paths, list_tf_stamps
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Joint, Model
@@ -236,11 +236,12 @@ class GroupFramePoses:
         self._bases = bases
         rate_hz = find_motion_rates(group_key.drive)[2]
         self._limiters = None if rate_hz is None else GroupRateLimiter(rate_hz)
-        self._has_odometry = group_key.drive.publish_odom_tf
-        self._frames = JointTransforms(
-            msgspec.msgpack.decode(group_key.geometry, type=tuple[Joint, ...])
-        )
         self._moving = list(group_key.moving)
+        base = [ODOMETRY] if group_key.drive.publish_odom_tf else []
+        self._frames = FramePoses(
+            [*base, *range(len(self._moving))],
+            msgspec.msgpack.decode(group_key.geometry, type=tuple[Joint, ...]),
+        )
         self._positions = np.zeros((0, len(group_key.moving)))
         self._found: tuple[IntArray, FloatArray] | None = None
 
@@ -275,14 +276,9 @@ class GroupFramePoses:
     def of(self, rows: IntArray) -> FloatArray:
         """Find the poses of some rows' frames, (m, 7 * frames); cached for the same rows."""
         if self._found is None or self._found[0] is not rows:
-            self._found = rows, self._poses(rows)
+            motions = self._bases.find_motions(rows)
+            self._found = rows, self._frames.find(motions, self._positions[rows])
         return self._found[1]
-
-    def _poses(self, rows: IntArray) -> FloatArray:
-        joints = self._frames.poses(self._positions[rows]).reshape(len(rows), -1)
-        if not self._has_odometry:
-            return joints
-        return np.concatenate([self._bases.motions[rows, :POSE_COLUMNS], joints], axis=1)
 
 
 MAX_TF_MESSAGE_BYTES = 32768

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto import keys
-from zensim.proto.codec.cdr_batch import CdrBatch, FloatArray, IntArray
+from zensim.proto.codec.cdr_batch import CdrBatch, IntArray
 from zensim.proto.codec.message_codec import MalformedPayload, decode
-from zensim.proto.joint_transforms import POSE_COLUMNS, JointTransforms
+from zensim.proto.joint_transforms import ODOMETRY, FramePoses
 from zensim.proto.message_paths import (
     HEADER_STAMP,
     ODOMETRY_COLUMNS,
@@ -88,7 +88,7 @@ class _TransformParts(NamedTuple):
     """What the transforms of a robot are made of, in the order of its message."""
 
     columns: tuple[int, ...]
-    """Joint of each transform; -1 = odometry."""
+    """Joint of each transform, or `ODOMETRY`."""
     joints: tuple[Joint, ...]
 
 
@@ -111,8 +111,8 @@ def find_transform_parts(
         edge = one.header.frame_id, one.child_frame_id
         if edge != base and edge not in movable:
             return None
-        columns.append(-1 if edge == base else movable[edge])
-    joints = tuple(model.joints[column] for column in columns if column >= 0)
+        columns.append(ODOMETRY if edge == base else movable[edge])
+    joints = tuple(model.joints[column] for column in columns if column != ODOMETRY)
     return _TransformParts(tuple(columns), joints)
 
 
@@ -175,8 +175,7 @@ class _FleetGroup:
             list_tf_paths(len(parts.columns)),
             list_tf_stamps(len(parts.columns)),
         )
-        self._columns = np.array(parts.columns, dtype=np.int64)
-        self._joints = JointTransforms(parts.joints)
+        self._poses = FramePoses(parts.columns, parts.joints)
         has_own = [not self._tf_topics or one.robot.tf_key in one.single for one in members]
         self._has_transforms = ~np.array(has_own, dtype=np.bool_)
         self.is_lacking = False
@@ -203,7 +202,7 @@ class _FleetGroup:
             topics = [self._topics[row] for row in rows.tolist()]
             yield from zip(times_ns.tolist(), topics, self._odometry.payloads(rows), strict=True)
         if self._has_transforms[rows].any():
-            poses = self._find_poses(motions, table.positions[slots])
+            poses = self._poses.find(motions, table.positions[slots])
             is_known, is_own = ~np.isnan(poses).any(axis=1), table.has_own_tf_rate[slots]
             self._note_lacking(rows[is_own | (~is_known & ~table.is_partial[slots])])
             numbers = np.flatnonzero(is_known & self._has_transforms[rows])
@@ -220,14 +219,6 @@ class _FleetGroup:
         self.is_lacking |= len(rows) > 0
         for row in rows.tolist():
             self._members[row].single.add(self._members[row].robot.tf_key)
-
-    def _find_poses(self, motions: FloatArray, positions: FloatArray) -> FloatArray:
-        """Find the poses of transforms, (m, 7 * transforms)."""
-        is_joint = self._columns >= 0
-        found = np.empty((len(motions), len(self._columns), POSE_COLUMNS))
-        found[:, is_joint] = self._joints.poses(positions[:, self._columns[is_joint]])
-        found[:, ~is_joint] = motions[:, None, :POSE_COLUMNS]
-        return found.reshape(len(motions), -1)
 
 
 class MotionTable:
