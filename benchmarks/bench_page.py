@@ -4,7 +4,7 @@ The process of `zensim view` beside a server whose robots drive circles in real 
 robots with `--dynamics auto --step-hz 100`, as PyBullet is too slow for that with full dynamics.
 Visitors are programs that read all that a browser would get, on the same cores. CPU and bytes are
 those of each second, of the page's process and of one visitor. The search is what a visitor does:
-give a name, press its row, and see the camera move.
+press a row of the list, and see the camera move.
 """
 
 import time
@@ -156,10 +156,10 @@ def _make_costs(what: str, visits: Visits) -> Iterator[Figure]:
 
 
 def _measure_search(page: Page) -> Iterator[Figure]:
-    """Search robots by name; measure until the camera moves."""
+    """Choose robots in the list; measure until the camera moves."""
     delays = []
     with PageUser(page.url) as user:
-        _wait_for(lambda: _find_row(user, "box_bot0"), "a list")
+        user.wait_for_row("box_bot0")
         for number in range(min(SEARCHES, page.robots)):
             delays.append(_time_search(user, f"box_bot{page.robots - 1 - number}"))
             _stop_following(user)
@@ -171,22 +171,11 @@ def _measure_search(page: Page) -> Iterator[Figure]:
 
 
 def _time_search(user: PageUser, name: str) -> float:
-    """Search an entity and select it; return the time [ms] until the camera moves."""
+    """Select an entity of the list; return the time [ms] until the camera moves."""
     began, before = time.perf_counter(), user.camera_messages
-    user.give("Search", name)
-    user.press(_wait_for(lambda: _find_only_row(user, name), f"the row of {name}"))
+    user.send("ZensimSelect", entity=name)
     _wait_for(lambda: user.camera_messages > before, f"a camera that moves to {name}")
     return 1e3 * (time.perf_counter() - began)
-
-
-def _find_row(user: PageUser, name: str) -> str:
-    """Find the label of the row of an entity; empty if there is none."""
-    return next((one for one in user.list_labels() if one.startswith(f"{name} · ")), "")
-
-
-def _find_only_row(user: PageUser, name: str) -> str:
-    """Find the row of an entity once the list has no other: its rows have moved then."""
-    return _find_row(user, name) if ">1 of " in user.texts() else ""
 
 
 def _stop_following(user: PageUser) -> None:

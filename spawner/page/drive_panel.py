@@ -10,27 +10,22 @@ from zensim.proto.printable_text import to_html
 from zensim.proto.se3 import to_yaw
 from zensim.spawner.page.drive_control import STOP, RobotBusy, Velocity, find_scale
 from zensim.spawner.page.floor_picking import Act
+from zensim.spawner.page.page_theme import MUTED_BUTTON, STOP_BUTTON
 from zensim.spawner.page.render_state import RenderedFleet
+from zensim.spawner.page.robot_colours import Rgb
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.script_messages import ScriptMessage, ZensimDrive, ZensimLeave
 from zensim.spawner.page.shortcuts import DRIVE_TO, STOP_ALL, TAKE_OVER
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.teleop.drive_twists import find_drive_style
 
-HOLD_HZ: Final = 20.0
-"""Rate at which a held button repeats itself."""
-PAD: Final = (
-    ("Forward", Velocity(1.0)),
-    ("Turn left", Velocity(turn=1.0)),
-    ("Turn right", Velocity(turn=-1.0)),
-    ("Backward", Velocity(-1.0)),
-)
-"""Held buttons, and their deflection."""
+PAD: Final = '<div data-zensim-part="pad"></div>'
+"""Place of the held buttons and of Stop, which the page's script fills."""
 DRIVING: Final = "drive"
 """Purpose of a click on the floor."""
 NO_ROBOT: Final = (
-    "Select a robot to drive it: click it, or its row in Entities. Then hold a button below, or "
-    "W A S D or the arrows."
+    "Select a robot to drive it: click it, or its row in Entities. Then hold a button of the pad, "
+    "or W A S D or the arrows."
 )
 WARN_AGAIN_S: Final = 3.0
 """Minimum time between two notifications that another visitor drives the robot."""
@@ -52,12 +47,12 @@ class DrivePanel(Panel):
         self._share = gui.add_slider(
             "Speed [%]", min=5, max=100, step=5, initial_value=100, hint="Of the robot's limits."
         )
-        for label, way in PAD:
-            self._add_pad_button(label, way)
-        self._add_button("Stop", self.stop, "Stops the robot; Space")
+        gui.add_html(PAD)
         self._add_button("Drive to", self.drive_to, f"Then click the floor; {DRIVE_TO.keys}")
         self._add_button("Take over", self.take_over, f"From another visitor; {TAKE_OVER.keys}")
-        self._add_button("Stop all", self.stop_all, f"Stops every robot; {STOP_ALL.keys}")
+        self._add_button(
+            "Stop all", self.stop_all, f"Stops every robot; {STOP_ALL.keys}", STOP_BUTTON
+        )
         client.add_command(DRIVE_TO, self.drive_to)
         client.add_command(TAKE_OVER, self.take_over)
         client.add_command(STOP_ALL, self.stop_all)
@@ -107,10 +102,6 @@ class DrivePanel(Panel):
             self._drive(Velocity(message.forward, message.left, message.turn))
         elif isinstance(message, ZensimLeave):
             self._driver.release(self._visitor)
-
-    def stop(self) -> None:
-        """Stop the robot."""
-        self._drive(STOP)
 
     def stop_all(self) -> None:
         """Stop every robot that has a drive."""
@@ -171,13 +162,10 @@ class DrivePanel(Panel):
                 self._warn_at = time.monotonic() + WARN_AGAIN_S
                 self._client.warn(str(busy))
 
-    def _add_pad_button(self, label: str, way: Velocity) -> None:
-        button = self._client.gui.add_button(label, hint="Hold it.")
-        button.on_hold(lambda _: self._drive(way), callback_hz=HOLD_HZ)
-        button.on_click(lambda _: self._drive(STOP))
-
-    def _add_button(self, label: str, act: Callable[[], None], hint: str) -> None:
-        button = self._client.gui.add_button(label, hint=hint)
+    def _add_button(
+        self, label: str, act: Callable[[], None], hint: str, colour: Rgb = MUTED_BUTTON
+    ) -> None:
+        button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
 
 

@@ -33,7 +33,9 @@ from zensim.proto.service_catalog import (
     SET_ENTITY_STATE,
     SPAWN_ENTITIES,
 )
+from zensim.spawner.page.page_theme import MUTED_BUTTON, STOP_BUTTON
 from zensim.spawner.page.pending_deletions import UNDO_S, PendingDeletions
+from zensim.spawner.page.robot_colours import Rgb
 from zensim.spawner.page.shortcuts import DELETE, UNDO
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, FleetLayout, make_fleet_layout, make_pose
@@ -87,7 +89,7 @@ class EditPanel(Panel):
             step=0.1,
         )
         self._heading = gui.add_number("Heading [deg]", 0.0, min=-360.0, max=360.0, step=5.0)
-        self._add_button("Place by click", self.pick_place, "Then click the floor.")
+        self._add_button("Place by click", self.pick_place, "Then click the floor.", MUTED_BUTTON)
         self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
 
     def _add_selection_controls(self) -> None:
@@ -97,9 +99,13 @@ class EditPanel(Panel):
         )
         self._has_handles.on_update(self._client.defer(self._show_handles))
         self._target = gui.add_vector3("Move to x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.1)
-        self._add_button("Move", self.move, "To the numbers above.")
-        self._add_button("Delete", self.delete, f"In {UNDO_S:g} s, see Undo; {DELETE.keys}")
-        self._add_button("Undo", self.undo, f"Keeps what is about to be deleted; {UNDO.keys}")
+        self._add_button("Move", self.move, "To the numbers above.", MUTED_BUTTON)
+        self._add_button(
+            "Delete", self.delete, f"In {UNDO_S:g} s, see Undo; {DELETE.keys}", STOP_BUTTON
+        )
+        self._add_button(
+            "Undo", self.undo, f"Keeps what is about to be deleted; {UNDO.keys}", MUTED_BUTTON
+        )
 
     def draw(self, state: PageState) -> None:
         """Move the handles with the entity, and delete what is due."""
@@ -256,8 +262,10 @@ class EditPanel(Panel):
         self._is_dragged = False
         self._move(entity, pose)
 
-    def _add_button(self, label: str, act: Callable[[], None], hint: str) -> None:
-        button = self._client.gui.add_button(label, hint=hint)
+    def _add_button(
+        self, label: str, act: Callable[[], None], hint: str, colour: Rgb | None = None
+    ) -> None:
+        button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
 
 

@@ -1,4 +1,4 @@
-"""The list of entities: categories, status and search. NumPy only."""
+"""The list of entities: categories, status and what a search finds. NumPy only."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal, get_args
@@ -6,36 +6,33 @@ from typing import Final, Literal, get_args
 import msgspec
 import numpy as np
 
-from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.spawner.page.model_visuals import Array
-from zensim.spawner.page.render_state import LastCommand, RenderedFleet, RenderedFrame
+from zensim.spawner.page.render_state import (
+    MOVING_MPS,
+    MOVING_RADPS,
+    LastCommand,
+    RenderedFleet,
+    RenderedFrame,
+)
+from zensim.spawner.page.robot_colours import find_robot_colour
 
 Category = Literal["Robots", "Objects", "World"]
 """Entities with a drive; those without; those of the world file."""
 CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
 EntityStatus = Literal["moving", "standing", "asleep", "no agent", "blocked", "static"]
-Choice = Literal["All", "Moving", "Standing", "Asleep", "No agent", "Blocked"]
-"""Which entities are listed."""
-CHOICES: Final[tuple[Choice, ...]] = get_args(Choice)
-MOVING_MPS: Final = 0.01
-MOVING_RADPS: Final = 0.02
-"""Speeds from which an entity moves; engines leave slower residues."""
+LETTERS: Final[dict[EntityStatus, str]] = {
+    "moving": "m",
+    "standing": "s",
+    "asleep": "z",
+    "no agent": "n",
+    "blocked": "b",
+    "static": "t",
+}
+"""Letter of each status in messages to the page's script."""
 FRESH_S: Final = 1.0
 """A command of this age [s] or older drives nothing."""
 BLOCKED_SHARE: Final = 0.1
 """A robot that reaches less of its command is blocked."""
-
-
-class ListedEntities(msgspec.Struct, frozen=True, eq=False):
-    """What a search found."""
-
-    names: Mapping[Category, tuple[str, ...]]
-    """Names by category, in the order of the world."""
-
-    @property
-    def count(self) -> int:
-        """Number of entities."""
-        return sum(map(len, self.names.values()))
 
 
 def find_category(fleet: RenderedFleet, name: str) -> Category:
@@ -100,28 +97,38 @@ def is_blocked(state: Array, command: LastCommand) -> bool:
     return not (reaches_speed if speed >= MOVING_MPS else abs(state[12]) >= BLOCKED_SHARE * turn)
 
 
-def search_entities(
-    fleet: RenderedFleet, statuses: Sequence[EntityStatus], text: str, choice: Choice = "All"
-) -> ListedEntities:
-    """List the entities whose name, namespace or model has all words of a text.
+class ListedEntity(msgspec.Struct, frozen=True, array_like=True):
+    """What the list of the page needs of an entity, but for what changes often."""
+
+    name: str
+    category: int
+    """Index into `CATEGORIES`."""
+    words: str
+    """What a search finds beside the name: namespace and model."""
+    colour: str
+    """Of a robot, as `#rrggbb`; empty without a drive."""
+
+
+def list_entities(fleet: RenderedFleet) -> list[ListedEntity]:
+    """List all entities in the order of `RenderedFleet.names`."""
+    return [
+        ListedEntity(
+            name,
+            CATEGORIES.index(find_category(fleet, name)),
+            f"{fleet.members[name].namespace} {fleet.model_of(name).name}",
+            "#{:02x}{:02x}{:02x}".format(*find_robot_colour(name)) if name in fleet.driven else "",
+        )
+        for name in fleet.names
+    ]
+
+
+def encode_statuses(statuses: Sequence[EntityStatus], frame: RenderedFrame) -> tuple[str, str]:
+    """Encode what changes often as JSON: a letter for each status, and speeds [cm/s].
 
     Args:
-        fleet: All entities.
         statuses: Of `find_statuses`.
-        text: Words in any case; empty = all.
-        choice: Status that they must have.
+        frame: Of the same entities.
     """
-    words, wanted = text.casefold().split(), choice.casefold()
-    found: dict[Category, list[str]] = {category: [] for category in CATEGORIES}
-    for name, status in zip(fleet.names, statuses, strict=True):
-        if wanted not in ("all", status):
-            continue
-        if words and not _has_words(fleet.members[name], fleet.model_of(name).name, words):
-            continue
-        found[find_category(fleet, name)].append(name)
-    return ListedEntities({category: tuple(names) for category, names in found.items()})
-
-
-def _has_words(member: EntityModel, model: str, words: Sequence[str]) -> bool:
-    text = f"{member.entity} {member.namespace} {model}".casefold()
-    return all(word in text for word in words)
+    letters = "".join(LETTERS[status] for status in statuses)
+    speeds = np.round(100.0 * np.linalg.norm(frame.base[:, 7:10], axis=1)).astype(int)
+    return msgspec.json.encode(letters).decode(), msgspec.json.encode(speeds.tolist()).decode()

@@ -2,31 +2,23 @@
 
 import time
 from collections.abc import Sequence
-from typing import Final, get_args
+from typing import TYPE_CHECKING, Final, get_args
 
+import msgspec
 import viser
 
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.printable_text import to_html
-from zensim.spawner.page.entity_list import (
-    CATEGORIES,
-    CHOICES,
-    Category,
-    EntityStatus,
-    ListedEntities,
-    find_statuses,
-    search_entities,
-)
-from zensim.spawner.page.scene_lighting import BRAND
+from zensim.spawner.page.entity_list import encode_statuses, find_statuses, list_entities
+from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.selection_outlines import SelectionOutlines
 from zensim.spawner.page.sensor_views import SensorChoice
 from zensim.spawner.page.side_panel import make_robot_html
 from zensim.spawner.page.viewer_client import CameraMode, PageState, Panel, ViewerClient
 
-MUTED_BUTTON: Final = (66, 71, 80)
-"""Colour of buttons without effect on the simulation."""
-MAX_ROWS: Final = 50
-"""Entities that are listed; a search finds the others."""
+if TYPE_CHECKING:
+    from zensim.spawner.page.render_state import RenderedFleet
+
 LIST_PERIOD_S: Final = 0.5
 """Update period of the list."""
 MAX_TREE_LINES: Final = 150
@@ -34,24 +26,17 @@ CAMERA_MODES: Final[tuple[CameraMode, ...]] = get_args(CameraMode)
 
 
 class EntityPanel(Panel):
-    """Controls of the tab."""
+    """Controls of the tab; the script of the page fills the list and searches it."""
 
     def __init__(self, client: ViewerClient) -> None:
         """Add the controls for a visitor."""
         self._client = client
         self._next_list_at = 0.0
-        self._outlines = SelectionOutlines(client.scene)
-        gui = client.gui
-        gui.add_button(
-            "Show all", color=MUTED_BUTTON, hint="Move the camera to show all."
-        ).on_click(client.defer(lambda _: client.look_at_all()))
+        self._listed: RenderedFleet | None = None
+        self._statuses = ("", "")
+        self._outlines = SelectionOutlines(client)
+        client.gui.add_html(make_list_html(can_act=client.can_act))
         self._details = EntityDetails(client)
-        self._text = gui.add_text("Search", "", hint="Words of names, namespaces or models.")
-        self._text.on_update(client.defer(lambda _: self._list()))
-        self._choice = gui.add_dropdown("Status", CHOICES)
-        self._choice.on_update(client.defer(lambda _: self._list()))
-        self._summary = gui.add_html("")
-        self._rows = {category: EntityRows(client, category) for category in CATEGORIES}
 
     def draw(self, state: PageState) -> None:
         """Move the outlines."""
@@ -61,88 +46,35 @@ class EntityPanel(Panel):
         """Update details, and the list from time to time."""
         self._details.update(state)
         if time.monotonic() >= self._next_list_at:
-            self._list()
+            self._list(state)
 
     def change_selection(self) -> None:
         """Show details of the selection."""
         self._details.show()
         self._outlines.draw(self._client.selected, self._client.state)
-        self._list()
 
-    def _list(self) -> None:
+    def _list(self, state: PageState) -> None:
+        """Send what the list shows, if it has changed."""
         self._next_list_at = time.monotonic() + LIST_PERIOD_S
-        state, text = self._client.state, self._text.value
+        if state.fleet is not self._listed:
+            self._listed, self._statuses = state.fleet, ("", "")
+            listed = msgspec.json.encode(list_entities(state.fleet)).decode()
+            self._client.run_script(f"zensimEntities({listed})")
         statuses = find_statuses(state.fleet, state.frame, state.commands)
-        found = search_entities(state.fleet, statuses, text, self._choice.value)
-        summary = make_summary_html(
-            found.count, len(state.fleet.names), can_act=self._client.can_act
-        )
-        if self._summary.content != summary:
-            self._summary.content = summary
-        self._show_rows(found, dict(zip(state.fleet.names, statuses, strict=True)))
-
-    def _show_rows(self, found: ListedEntities, statuses: dict[str, EntityStatus]) -> None:
-        room = MAX_ROWS
-        for category, names in found.names.items():
-            self._rows[category].show(names[:room], len(names), statuses)
-            room -= min(room, len(names))
+        encoded = encode_statuses(statuses, state.frame)
+        if encoded != self._statuses:
+            self._statuses = encoded
+            self._client.run_script(f"zensimStatuses({', '.join(encoded)})")
 
 
-class EntityRows:
-    """A folder with a button for each listed entity of a category."""
+def make_list_html(*, can_act: bool) -> str:
+    """Make the place of the list; it says what an empty world needs.
 
-    def __init__(self, client: ViewerClient, category: Category) -> None:
-        self._client, self._category = client, category
-        self._folder = client.gui.add_folder(category, visible=False)
-        self._buttons: list[viser.GuiButtonHandle] = []
-        self._shown: list[tuple[str, bool]] = []
-        """Label of each visible button, and whether it is marked."""
-        self._names: Sequence[str] = ()
-        self._title: str = category
-
-    def show(self, names: Sequence[str], total: int, statuses: dict[str, EntityStatus]) -> None:
-        """Show these entities of all that were found; only what changes is sent."""
-        while len(self._buttons) < len(names):
-            self._add_button(len(self._buttons))
-        selected = self._client.selected
-        shown = [(f"{name} · {statuses[name]}", name in selected) for name in names]
-        with self._client.client.atomic():
-            for number, button in enumerate(self._buttons):
-                self._show_row(button, number, shown)
-            self._show_title(total)
-        self._names, self._shown = names, shown
-
-    def _show_title(self, total: int) -> None:
-        title = f"{self._category} ({total})"
-        if title != self._title:
-            self._folder.label = self._title = title
-        if self._folder.visible != bool(total):
-            self._folder.visible = bool(total)
-
-    def _show_row(
-        self, button: viser.GuiButtonHandle, number: int, shown: Sequence[tuple[str, bool]]
-    ) -> None:
-        before = self._shown[number] if number < len(self._shown) else None
-        after = shown[number] if number < len(shown) else None
-        if after is None or before == after:
-            if after is None and before is not None:
-                button.visible = False
-            return
-        button.label, is_marked = after
-        if before is None:
-            button.visible = True
-        if before is None or before[1] != is_marked:
-            button.color = BRAND if is_marked else MUTED_BUTTON
-
-    def _add_button(self, number: int) -> None:
-        with self._folder:
-            button = self._client.gui.add_button("", visible=False, color=MUTED_BUTTON)
-        button.on_click(self._client.defer(lambda _: self._select(number)))
-        self._buttons.append(button)
-
-    def _select(self, number: int) -> None:
-        if number < len(self._names):
-            self._client.select(self._names[number])
+    Args:
+        can_act: Whether the visitor may spawn models.
+    """
+    text = "The world is empty" + (": spawn a model in the tab Edit." if can_act else ".")
+    return f'<div data-zensim-part="list" data-empty="{text}"></div>'
 
 
 class EntityDetails:
@@ -150,7 +82,7 @@ class EntityDetails:
 
     def __init__(self, client: ViewerClient) -> None:
         self._client = client
-        self._place = client.gui.add_folder("Selection", visible=False)
+        self._place = client.gui.add_folder(None)
         self._folder: viser.GuiFolderHandle | None = None
         self._text: viser.GuiHtmlHandle | None = None
 
@@ -161,7 +93,6 @@ class EntityDetails:
             self._folder.remove()
         self._folder = self._text = None
         selected = self._client.selected
-        self._place.visible = bool(selected)
         if selected:
             with self._place:
                 self._folder = self._client.gui.add_folder(selected[0])
@@ -206,23 +137,6 @@ class EntityDetails:
 
     def _switch(self, choice: SensorChoice, is_on: bool) -> None:  # noqa: FBT001
         self._client.post(lambda: self._client.sensors.switch(choice, is_on=is_on))
-
-
-def make_summary_html(found: int, total: int, *, can_act: bool) -> str:
-    """Say how many entities were found, and how many of them are listed.
-
-    Args:
-        found: Number.
-        total: Number of all entities of the world.
-        can_act: Whether the visitor may spawn some.
-    """
-    if not total:
-        text = "The world is empty" + (": spawn a model in the tab Edit." if can_act else ".")
-    elif found > MAX_ROWS:
-        text = f"{found} of {total} found, the first {MAX_ROWS} listed"
-    else:
-        text = f"{found} of {total} found"
-    return f'<div style="padding:.15em .7em;font-size:.85em;opacity:.8">{text}</div>'
 
 
 def make_tree_html(model: Model) -> str:

@@ -56,6 +56,11 @@ class ModelNodes:
         """Poses of each link that visitors have."""
         self._colours: NDArray[np.uint8] = np.zeros((0, 3), np.uint8)
 
+    @property
+    def base_path(self) -> str:
+        """Path of a part of the base; empty if it has none."""
+        return self._batches[0][0].name if self._batches and self._batches[0] else ""
+
     def show(self, links: Sequence[FloatArray], colours: NDArray[np.uint8] | None = None) -> bool:
         """Move the links that have moved visibly; return whether the nodes were created.
 
@@ -145,6 +150,8 @@ class FleetNodes:
         self._paths = (f"/robots/{number}" for number in itertools.count())
         self._nodes: dict[VisualTemplate, ModelNodes] = {}
         self._names: dict[str, tuple[str, ...]] = {}
+        self._instances: dict[str, tuple[str, int]] = {}
+        self._fleet: RenderedFleet | None = None
 
     def show(self, fleet: RenderedFleet, frame: RenderedFrame) -> None:
         """Draw all entities of a frame; nodes of deleted entities are removed."""
@@ -153,10 +160,22 @@ class FleetNodes:
             self._nodes.pop(gone).remove()
         for group, links in zip(fleet.groups, frame.links, strict=True):
             self._show_group(group, links, fleet)
+        if fleet is not self._fleet:
+            self._fleet = fleet
+            self._instances = {
+                name: (path, number)
+                for group in fleet.groups
+                if (path := self._nodes[group.template].base_path)
+                for number, name in enumerate(group.names)
+            }
 
     def find_bounds(self, template: VisualTemplate) -> Array:
         """Find the lowest and highest corner (2, 3) of a template in the frame of its base."""
         return self._nodes[template].bounds
+
+    def find_instance(self, entity: str) -> tuple[str, int] | None:
+        """Find the batch of a part of the base of an entity, and its number there, if any."""
+        return self._instances.get(entity)
 
     def names_json(self) -> bytes:
         """Encode the names of instances by scene node, for `GET /names`."""

@@ -25,6 +25,8 @@ JUMP_M: Final = 1.0
 """A longer way between two points is a placement, not a motion."""
 MAX_ARROWS: Final = 200
 ARROW_PERIOD_S: Final = 0.1
+FEW_ARROWS: Final = 20
+"""So many arrows are drawn with each frame, so that they stay at their robots."""
 LEAST_ARROW_MPS: Final = 0.02
 ARROW_S: Final = 1.0
 """An arrow is as long as the way in this time."""
@@ -148,7 +150,7 @@ class VelocityArrows:
 
     def draw(self, names: Sequence[str], state: PageState) -> None:
         """Draw the arrows of the first `MAX_ARROWS` of these entities."""
-        if self._clock() < self._next_at:
+        if len(names) > FEW_ARROWS and self._clock() < self._next_at:
             return
         self._next_at = self._clock() + ARROW_PERIOD_S
         tops = {name: state.find_top(name) for name in names[:MAX_ARROWS]}

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
+from importlib.resources import files
 from typing import Any, Final
 
 import rich
@@ -171,6 +172,8 @@ HOVER_SCRIPT: Final = """
 """
 
 
+FRONT_END: Final = files("zensim.spawner.page") / "front_end.js"
+"""Script of the page's own controls."""
 CLOSE_TIMEOUT_S: Final = 0.1
 """Limit of the closing handshake of a websocket."""
 TITLE: Final = "zensim"
@@ -486,7 +489,7 @@ def _replace_title(response: Response, shortcuts: Rows) -> None:
 @lru_cache(maxsize=4)
 def _with_title(body: bytes, shortcuts: Rows, *, is_packed: bool) -> bytes:
     page = gzip.decompress(body) if is_packed else body
-    parts = (HOVER_SCRIPT, DRIVE_SCRIPT, make_tools_script(shortcuts))
+    parts = (HOVER_SCRIPT, DRIVE_SCRIPT, make_tools_script(shortcuts), FRONT_END.read_text("utf-8"))
     scripts = "".join(f"<script>{part}</script>" for part in parts)
     head = f"<title>{TITLE}</title>{scripts}".encode()
     titled = page.replace(b"<title>Viser</title>", head, 1)

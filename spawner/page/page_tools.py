@@ -16,11 +16,12 @@ MOUSE: Final = (
 )
 KEYS: Final = (("?", "this help"),)
 LEGEND: Final = (
-    ("Grid", "strong lines each metre, fine lines each 0.25 m"),
-    ("Red and green line", "x and y of the world, 10 m long, from its origin"),
+    ("Grid", "fine lines each metre, strong lines each 5 m"),
+    ("Red and green line", "x and y of the world, 1 m long, from its origin"),
     ("Bar beside the tools", "length at the distance of the point that the camera turns about"),
-    ("Colours of robots", "by name; seven that colour-blind people can distinguish"),
+    ("Colours of robots", "by name, also in the list; colour-blind people can distinguish them"),
     ("Green, amber and red dot", "the simulation plays, is paused, or no server replies"),
+    ("Dots of the list", "green: moves; grey: stands; amber ring: no agent; red: blocked"),
 )
 Rows = tuple[tuple[str, str], ...]
 
@@ -49,13 +50,17 @@ def make_tools_script(keys: Rows = ()) -> str:
 
 # The labels of viser have a contrast of 3; those here have 4.5 at least.
 STYLE: Final = """
+:root:root { --mantine-font-family: Inter, system-ui, -apple-system, "Segoe UI", Roboto,
+  "Helvetica Neue", Arial, sans-serif; letter-spacing: normal; }
 :root:root[data-mantine-color-scheme=light] { --mantine-color-dimmed: #59616b;
-  --zensim-green: #1b7a4a; --zensim-amber: #8a5a00; --zensim-red: #b3261e; }
+  --zensim-green: #1b7a4a; --zensim-amber: #8a5a00; --zensim-red: #b3261e;
+  --zensim-raised: #eef1f5; --zensim-edge: #c3cad3; --zensim-on: #dbe8f7; --zensim-text: #1f242b; }
 :root:root[data-mantine-color-scheme=dark] { --mantine-color-dimmed: #a6acb4;
-  --zensim-green: #4cc38a; --zensim-amber: #e5b454; --zensim-red: #f0857b; }
+  --zensim-green: #4cc38a; --zensim-amber: #e5b454; --zensim-red: #f0857b;
+  --zensim-raised: #30353e; --zensim-edge: #474d58; --zensim-on: #23405f; --zensim-text: #eef1f5; }
 #zensim-tools { position: fixed; left: 12px; bottom: 12px; z-index: 40; display: flex;
   flex-direction: column; align-items: flex-start; gap: 8px; pointer-events: none;
-  font: 13px system-ui, sans-serif; --text: #23272e; --back: rgba(255, 255, 255, .92);
+  font: 13px var(--mantine-font-family); --text: #23272e; --back: rgba(255, 255, 255, .92);
   --edge: #6b7480; color: var(--text); }
 [data-mantine-color-scheme=dark] #zensim-tools { --text: #eef1f5; --back: rgba(24, 27, 33, .92);
   --edge: #8d96a3; }
@@ -65,14 +70,15 @@ STYLE: Final = """
   color: var(--text); font: inherit; cursor: pointer; }
 #zensim-tools button:focus-visible { outline: 3px solid #4a90e2; outline-offset: 1px; }
 #zensim-tools button[aria-pressed=true] { background: #b3261e; color: #fff; }
-#zensim-scale { border: 2px solid var(--text); border-top: 0; text-align: center; height: 15px;
-  line-height: 11px; background: var(--back); box-sizing: border-box; }
+#zensim-scale { border: solid var(--text); border-width: 0 2px 2px; text-align: center;
+  height: 22px; line-height: 18px; background: var(--back); box-sizing: border-box;
+  border-radius: 4px 4px 0 0; white-space: nowrap; font-size: 12px; }
 #zensim-note { padding: 5px 9px; border-radius: 6px; background: var(--back); max-width: 60vw;
   overflow-wrap: anywhere; }
 #zensim-note:empty { display: none; }
 #zensim-help { max-width: min(560px, calc(100vw - 32px)); max-height: calc(100vh - 32px);
   box-sizing: border-box; overflow: auto; border: 0; border-radius: 10px; padding: 8px 20px 20px;
-  font: 14px/1.45 system-ui, sans-serif; background: #fff; color: #23272e; }
+  font: 14px/1.45 var(--mantine-font-family); background: #fff; color: #23272e; }
 [data-mantine-color-scheme=dark] #zensim-help { background: #20242b; color: #eef1f5; }
 #zensim-help::backdrop { background: rgba(0, 0, 0, .45); }
 #zensim-help h2 { margin: 8px 0 0; } #zensim-help h3 { margin: 14px 0 4px; }
@@ -91,20 +97,107 @@ STYLE: Final = """
 [data-mantine-color-scheme=light] .mantine-Button-root[style*="#424750"]:not(:disabled) {
   --button-bg: #e6eaef !important; --button-hover: #d5dbe3 !important;
   --button-color: #23272e !important; --button-bd: 1px solid #b4bcc7 !important; }
-.mantine-Notification-description, .mantine-Slider-markLabel {
+.mantine-Notification-description {
   color: var(--mantine-color-dimmed) !important; }
+/* The head: state, time, factor and robots, and the buttons of the simulation. */
+.zensim-status { display: flex; justify-content: space-between; gap: 4px 8px; flex-wrap: wrap;
+  margin: 0; padding: 4px 12px; font: 12.5px/1.3 var(--mantine-font-family);
+  font-variant-numeric: tabular-nums; }
+.zensim-status > div { display: flex; flex-direction: column-reverse; }
+.zensim-status dt { font-size: 10.5px; color: var(--mantine-color-dimmed); }
+.zensim-status dd { margin: 0; font-weight: 600; white-space: nowrap; }
+[data-zensim-part] { font: 13px/1.3 var(--mantine-font-family); color: var(--zensim-text); }
+[data-zensim-part] button { font: inherit; color: inherit; cursor: pointer; display: inline-flex;
+  align-items: center; justify-content: center; gap: 5px; min-height: 32px; border-radius: 6px;
+  border: 1px solid var(--zensim-edge); background: var(--zensim-raised); padding: 0 10px;
+  touch-action: manipulation; }
+[data-zensim-part] button:hover { background: var(--zensim-on); }
+[data-zensim-part] :is(button, input):focus-visible { outline: 3px solid #4a90e2;
+  outline-offset: -1px; }
+[data-zensim-part] svg { width: 17px; height: 17px; fill: currentColor; flex: none; }
+.zensim-head { display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px;
+  padding: 4px 12px 8px; }
+.zensim-head button { width: 100%; }
+.zensim-head .zensim-play { background: var(--zensim-on); }
+.zensim-menu { position: relative; }
+.zensim-menu > [role=menu] { position: absolute; right: 0; top: 100%; z-index: 30; padding: 4px;
+  margin-top: 4px; min-width: 230px; border-radius: 8px; border: 1px solid var(--zensim-edge);
+  background: var(--mantine-color-body); box-shadow: 0 6px 20px rgba(0, 0, 0, .35); }
+.zensim-menu [role=menuitem] { border: 0; background: none; justify-content: flex-start; }
+/* The list: a dot for the status, the name, the speed. */
+.zensim-search { display: flex; gap: 6px; padding: 8px 12px 2px; }
+.zensim-search input { flex: 1; min-width: 0; font: inherit; color: inherit; padding: 0 10px;
+  min-height: 32px; box-sizing: border-box; border: 1px solid var(--zensim-edge);
+  border-radius: 6px; background: none; }
+.zensim-search input::placeholder { color: var(--mantine-color-dimmed); opacity: 1; }
+.zensim-count { padding: 3px 12px; font-size: 11.5px; color: var(--mantine-color-dimmed); }
+.zensim-rows { overflow-y: auto; max-height: max(160px, calc(100vh - 330px)); margin: 0 4px;
+  position: relative; scrollbar-width: thin; }
+.zensim-rows.is-short { max-height: max(160px, 34vh); }
+.zensim-room { position: relative; }
+.zensim-room > div { position: absolute; left: 0; right: 0; padding: 1px 4px;
+  box-sizing: border-box; }
+.zensim-room h3 { font-size: 11.5px; font-weight: 600; margin: 0; padding: 9px 4px 0;
+  color: var(--mantine-color-dimmed); }
+.zensim-room button { width: 100%; height: 100%; min-height: 0; border: 0; background: none;
+  gap: 8px; padding: 0 8px; border-radius: 0 6px 6px 0;
+  box-shadow: inset 3px 0 var(--robot, transparent); }
+.zensim-room button[aria-pressed=true] { background: var(--zensim-on); }
+.zensim-room .name { flex: 1; text-align: left; overflow: hidden; text-overflow: ellipsis;
+  white-space: nowrap; }
+.zensim-room .speed { color: var(--mantine-color-dimmed); font-size: 12px;
+  font-variant-numeric: tabular-nums; white-space: nowrap; }
+.zensim-room button[aria-pressed=true] .speed { color: inherit; }
+.zensim-room .dot { width: 9px; height: 9px; border-radius: 50%; flex: none; margin-left: 3px;
+  box-sizing: border-box; border: 2px solid var(--mantine-color-dimmed); }
+.zensim-room .dot.is-moving { background: var(--zensim-green); border-color: var(--zensim-green); }
+.zensim-room .dot.is-standing { background: var(--mantine-color-dimmed); }
+.zensim-room .dot.is-no-agent { border-color: var(--zensim-amber); }
+.zensim-room .dot.is-blocked { background: var(--zensim-red); border-color: var(--zensim-red); }
+/* The pad. */
+.zensim-pad { display: grid; grid-template: repeat(3, 52px) / repeat(3, 72px); gap: 6px;
+  justify-content: center; padding: 8px 0 10px; user-select: none; -webkit-user-select: none; }
+.zensim-pad button { touch-action: none; flex-direction: column; gap: 0; font-size: 11px;
+  border-radius: 10px; padding: 0; }
+.zensim-pad svg { width: 22px; height: 22px; }
+.zensim-pad .is-forward { grid-area: 1 / 2; } .zensim-pad .is-left { grid-area: 2 / 1; }
+.zensim-pad .is-stop { grid-area: 2 / 2; } .zensim-pad .is-right { grid-area: 2 / 3; }
+.zensim-pad .is-back { grid-area: 3 / 2; }
+.zensim-pad .is-held { background: var(--zensim-on); }
+.zensim-pad .is-stop, .zensim-pad .is-stop:hover { background: #b3261e; color: #fff;
+  border-color: #b3261e; font-weight: 600; }
+/* The legend of a chart says what its lines are; time is along its lower edge. */
+.uplot .u-legend { margin: 0 !important; font-size: 11px !important; text-align: left; }
+.uplot .u-legend tr.u-series:first-child { display: none; }
+/* One letter spacing, one radius; numbers at the ends of sliders would lie over their thumbs. */
+label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !important; }
+.mantine-Button-root { border-radius: 6px; }
+.mantine-Slider-markLabel { display: none; }
+/* The scroll bar of the panel covers nothing. */
+.mantine-ScrollArea-scrollbar[data-orientation=vertical] { width: 6px !important;
+  padding: 0 1px !important; }
 /* Six tabs in one row of a panel 320 pixels wide. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }
 .zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;
   padding: 0 .7em .4em; }
 .zensim-models button { min-width: 44px; min-height: 44px; padding: 2px; cursor: pointer;
   border: 2px solid transparent; border-radius: 6px; background: none; color: inherit;
-  font: 10px/1.15 system-ui, sans-serif; overflow-wrap: anywhere; }
+  font: 10px/1.15 var(--mantine-font-family); overflow-wrap: anywhere; }
 .zensim-models img { display: block; width: 100%; border-radius: 4px; margin-bottom: 2px; }
 .zensim-models button:focus-visible { outline: 3px solid #4a90e2; }
 .zensim-fold:focus-visible { outline: 3px solid #4a90e2; }
 /* Targets of fingers: 44 pixels; viser sets smaller ones in the elements. */
 @media (max-width: 640px) {
+  /* The sheet is as wide as the phone; viser makes it 20 em wide. */
+  .mantine-Paper-root[style*="position: fixed"][style*="bottom: 0"] { width: 100vw !important;
+    max-height: 48% !important; border-radius: 12px 12px 0 0; }
+  .mantine-Paper-root[style*="position: fixed"][style*="bottom: 0"] [style*="width: 20em"] {
+    width: 100% !important; }
+  .mantine-Tabs-list { flex-wrap: nowrap !important; }
+  .mantine-Tabs-tab { flex: 1 1 auto; padding: 0 4px !important; }
+  [data-zensim-part] :is(button, input) { min-height: 44px; }
+  .zensim-rows, .zensim-rows.is-short { max-height: 40vh; }
+
   .mantine-Button-root, .mantine-ActionIcon-root, .mantine-Input-input, .mantine-Tabs-tab,
   .mantine-Checkbox-inner, .mantine-Checkbox-input {
     min-width: 44px !important; min-height: 44px !important; }
@@ -186,7 +279,7 @@ const toWorld = ({x, y, z}) => [-z, -x, y].map((v) => Number(v.toFixed(4)));
 
 // Set by the server of the page whenever the selection changes.
 let selected = "";
-window.zensimSelected = (name) => { selected = name; };
+window.zensimSelected = (names) => { selected = names[0] || ""; zensimMarks(names); };
 
 // What the address of the page asks for is sent until the page has it.
 const asked = new URLSearchParams(location.search);

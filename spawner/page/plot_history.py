@@ -74,19 +74,22 @@ def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:
 
 
 def measure_robot(name: str, state: Array, command: LastCommand | None) -> dict[str, float]:
-    """Read the columns of a robot from its state (STATE_COLUMNS,) and its last command."""
-    x, y = float(state[0]), float(state[1])
-    given = (command.forward_mps, command.turn_radps) if command else (0.0, 0.0)
+    """Read the columns of a robot from its state (STATE_COLUMNS,) and its last command.
+
+    Without a command there are no columns of what is commanded.
+    """
+    given = (command.forward_mps, command.turn_radps) if command else (None, None)
     pairs = [
         (hypot(float(state[7]), float(state[8])), given[0]),
         (float(state[12]), given[1]),
-        (x, y),
+        (float(state[0]), float(state[1])),
     ]
     columns = name_robot_columns(name).values()
     return {
         column: number
         for names, numbers in zip(columns, pairs, strict=True)
         for column, number in zip(names, numbers, strict=True)
+        if number is not None
     }
 
 

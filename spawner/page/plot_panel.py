@@ -9,6 +9,8 @@ import viser
 from viser import uplot
 
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.printable_text import to_html
+from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.plot_history import (
     FACTOR,
     PlotHistory,
@@ -42,7 +44,7 @@ class PlotPanel(Panel):
         self._client, self._next_at = client, 0.0
         self._history, self._sensed = PlotHistory(), PlotHistory()
         gui = client.gui
-        self._note = gui.add_markdown(NOTE)
+        self._note = gui.add_html(make_note_html(()))
         self._boxes = {
             title: gui.add_checkbox(title, initial_value=False, hint=f"Plot it: {title.lower()}.")
             for title in CHARTS
@@ -52,7 +54,7 @@ class PlotPanel(Panel):
         )
         self._sensor.on_update(client.defer(lambda _: self._watch()))
         self._topics: dict[str, WatchedTopic] = {}
-        save = gui.add_button("Save as CSV", hint="Download what is plotted.")
+        save = gui.add_button("Save as CSV", color=MUTED_BUTTON, hint="Download what is plotted.")
         save.on_click(client.defer(lambda _: self._save()))
         self._charts = {title: Chart(client.gui, title) for title in (*CHARTS, "Sensor")}
 
@@ -83,6 +85,7 @@ class PlotPanel(Panel):
             watches = list_plotted_topics(selected[0], fleet.model_of(selected[0]))
             self._topics = {watch.name: watch for watch in watches}
         self._sensor.options = (NO_SENSOR, *self._topics)
+        self._note.content = make_note_html(self._list_plotted())
         self._watch()
 
     def _watch(self) -> None:
@@ -116,7 +119,13 @@ class PlotPanel(Panel):
         self._client.client.send_file_download(FILE_NAME, history.make_csv(), save_immediately=True)
 
 
-NOTE: Final = "Select robots to plot them; shift and click adds up to four."
+def make_note_html(plotted: Sequence[str]) -> str:
+    """Say which robots are plotted, and how others are."""
+    how = f"shift and click adds others, up to {MAX_PLOTTED}."
+    text = f"Plotted: {', '.join(plotted)}; {how}" if plotted else f"Select a robot; {how}"
+    return f'<div style="padding:.15em .7em;font-size:.85em">{to_html(text)}</div>'
+
+
 Pen = tuple[Rgb, bool]
 """Colour of a line, and whether it is dashed."""
 
@@ -145,7 +154,7 @@ class Chart:
     """A chart that exists while it has columns to show."""
 
     def __init__(self, gui: viser.GuiApi, title: str) -> None:
-        self._gui, self._title = gui, title
+        self._gui = gui
         self._place = gui.add_folder(title, visible=False)
         self._plot: viser.GuiUplotHandle | None = None
         self._columns: list[str] = []
@@ -170,7 +179,7 @@ class Chart:
             self._plot = self._gui.add_uplot(
                 data,
                 (
-                    {},
+                    {"label": "simulation time [s]"},
                     *(
                         _describe_line(c, p)
                         for c, p in zip(columns, choose_pens(columns), strict=True)
@@ -178,6 +187,7 @@ class Chart:
                 ),
                 scales={"x": {"time": False}},
                 axes=({"stroke": AXIS_COLOUR}, {"stroke": AXIS_COLOUR}),
+                legend={"live": False},
                 height=CHART_HEIGHT_PX,
             )
 

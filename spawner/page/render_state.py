@@ -33,11 +33,14 @@ from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_views import SensorChoice, SensorView, list_sensor_views
 
 MAX_MODEL_LIGHTS: Final = 8
-WIDE_AZIMUTH_RAD: Final = np.radians(55.0)
-"""Angle of the view to the long side of the fleet."""
-NARROW_AZIMUTH_RAD: Final = np.radians(20.0)
+MOVING_MPS: Final = 0.01
+MOVING_RADPS: Final = 0.02
+"""Speeds from which an entity moves; engines leave slower residues."""
+WIDE_AZIMUTH_RAD: Final = np.radians(30.0)
+"""Angle of the view to the long side of the fleet: along it, so that the nearest are large."""
+NARROW_AZIMUTH_RAD: Final = np.radians(14.0)
 """The same where the image is higher than wide, as on a phone."""
-VIEW_ELEVATION_RAD: Final = np.radians(24.0)
+VIEW_ELEVATION_RAD: Final = np.radians(20.0)
 HIGH_ELEVATION_RAD: Final = np.radians(50.0)
 """Elevation of a view into a world, whose walls would hide what is behind them."""
 SURROUNDINGS_M: Final = 1.0
@@ -48,12 +51,17 @@ FLAT_M: Final = 0.1
 """A lower static model is a floor, which may be much larger than what stands on it."""
 LEAST_VIEW_M: Final = 1.2
 """Least width of a view: a single robot has floor around it."""
-VIEW_MARGIN_M: Final = 0.3
+VIEW_MARGIN_M: Final = 0.15
 """Margin around each robot, which may drive."""
 LEAST_DISTANCE_M: Final = 0.7
 """Least distance of the nearest point along the axis of the camera."""
-FILLED_WIDTH, FILLED_HEIGHT = 0.8, 0.7
+FILLED_WIDTH, FILLED_HEIGHT = 0.86, 0.74
 """Shares of the image that the outermost points may span."""
+BISECTIONS: Final = 40
+PHONE_ASPECT: Final = 0.7
+"""Width / height of the image below which controls are a sheet at its bottom."""
+SHEET_SHARE: Final = 0.48
+"""Share of the height that the sheet of controls covers at the bottom of a narrow image."""
 
 
 class UnknownEntity(Exception):
@@ -308,34 +316,64 @@ def fit_camera(view: View, *, aspect: float, fov_rad: float) -> tuple[Array, Arr
     """
     low, high = view.points.min(axis=0), view.points.max(axis=0)
     centre = (low + high) / 2.0
-    least = _make_corners(LEAST_VIEW_M / 2.0) * (1.0, 1.0, 0.0)
-    points = np.concatenate((view.points - centre, least))
+    points = view.points - centre
+    if (high - low)[:2].max() < LEAST_VIEW_M:
+        least = _make_corners(LEAST_VIEW_M / 2.0) * (1.0, 1.0, 0.0)
+        points = np.concatenate((points, least))
     azimuth = WIDE_AZIMUTH_RAD if aspect >= 1.0 else NARROW_AZIMUTH_RAD
     right, up, ahead = _find_view_axes(high - low, azimuth, view.elevation_rad)
     half_height = float(np.tan(fov_rad / 2.0))
     along = points @ ahead
-    across, back = _fit_between(points @ right, along, FILLED_WIDTH * half_height * aspect)
-    above, farther_back = _fit_between(points @ up, along, FILLED_HEIGHT * half_height)
-    nearest = float(along.min()) - LEAST_DISTANCE_M
-    offset = across * right + above * up + min(back, farther_back, nearest) * ahead
+    # A narrow image is free above the sheet only, so the axis of the camera points below it.
+    covered = SHEET_SHARE if aspect < PHONE_ASPECT else 0.0
+    shift, room = covered * half_height, (1.0 - covered) * half_height
+    sideways, upward = points @ right, points @ up - shift * along
+    depth = min(
+        _find_depth(sideways, along, FILLED_WIDTH * half_height * aspect),
+        _find_depth(upward, along, FILLED_HEIGHT * room),
+        float(along.min()) - LEAST_DISTANCE_M,
+    )
+    across = _find_middle(sideways, along - depth)
+    above = _find_middle(upward, along - depth) + shift * depth
+    offset = across * right + above * up + depth * ahead
     reach = max(float(-offset[2] / ahead[2]), LEAST_DISTANCE_M)
     return centre + offset, centre + offset + reach * ahead
 
 
-def _fit_between(across: Array, along: Array, slope: float) -> tuple[float, float]:
-    """Find where a camera sees all points within +-slope of its axis.
+def _find_depth(across: Array, along: Array, slope: float) -> float:
+    """Find how far along its axis a camera may stand that sees all points within +-slope of it.
 
     Args:
         across: Coordinate of each point along the edge of the image.
         along: Coordinate of each point along the axis of the camera.
         slope: Tangent of half the angle; > 0.
-
-    Returns:
-        Coordinates of the camera across, and along at most: farther back it sees them as well.
     """
     left = float(np.min(slope * along - across))
     right = float(np.min(slope * along + across))
-    return (right - left) / 2.0, (right + left) / (2.0 * slope)
+    return (right + left) / (2.0 * slope)
+
+
+def _find_middle(across: Array, distance: Array) -> float:
+    """Find where a camera sees the outermost points equally far from its axis.
+
+    Args:
+        across: Coordinate of each point along the edge of the image.
+        distance: Of each point along the axis of the camera; > 0.
+    """
+    low, high = 0.0, float(np.max(np.ptp(across) / distance))
+    for _ in range(BISECTIONS):
+        slope = (low + high) / 2.0
+        is_enough = np.max(across - slope * distance) <= np.min(across + slope * distance)
+        low, high = (low, slope) if is_enough else (slope, high)
+    middle = np.max(across - high * distance) + np.min(across + high * distance)
+    return float(middle) / 2.0
+
+
+def is_moving(state: Array) -> bool:
+    """Whether an entity with this state (STATE_COLUMNS,) moves faster than residues of engines."""
+    return bool(
+        np.linalg.norm(state[7:10]) >= MOVING_MPS or np.linalg.norm(state[10:13]) >= MOVING_RADPS
+    )
 
 
 def format_pose(state: Array) -> tuple[str, str]:

@@ -8,15 +8,16 @@ import viser
 
 from zensim.proto.messages.model_messages import DOWNWARD, Light, Origin, Quat
 from zensim.proto.messages.world_messages import Scene
-from zensim.spawner.page.page_theme import DARK, PageTheme, make_scale
+from zensim.spawner.page.page_theme import DARK, PageTheme, make_axes
 
-BRAND: Final = (0, 98, 168)
-"""Colour of buttons that stand out; white text on it has a contrast of 6."""
-SCALE_LINE_M: Final = 0.012
-"""Width of the lines of the scale."""
-FADE_DISTANCE_M: Final = 45.0
+CELL_M, SECTION_M = 1.0, 5.0
+"""Distances of the fine and of the strong lines of the ground."""
+AXIS_LINE_M: Final = 0.01
+"""Width of the axes."""
+FADE_DISTANCE_M: Final = 140.0
 """Distance at which the ground fades out."""
-START_CAMERA: Final = ((-1.6, -1.6, 1.6), (1.6, 1.6, 0.0))
+FADE_STRENGTH: Final = 4.0
+START_CAMERA: Final = ((-1.6, -1.0, 0.8), (1.6, 0.6, 0.0))
 """Position and target of the camera before there is a robot."""
 FOV_RAD: Final = float(np.radians(45.0))
 
@@ -40,22 +41,22 @@ def set_controls_theme(gui: viser.GuiApi, theme: PageTheme) -> None:
 
 
 def add_ground(scene: viser.SceneApi, theme: PageTheme) -> list[viser.SceneNodeHandle]:
-    """Add the ground with a grid, and the scale on it."""
+    """Add the ground with a grid, and the axes of the world on it."""
     grid = scene.add_grid(
         "/ground",
         infinite_grid=True,
         plane_color=theme.ground,
         plane_opacity=1.0,
-        cell_color=theme.cells,
-        cell_size=0.25,
-        section_color=theme.metres,
-        section_size=1.0,
+        cell_color=theme.metres,
+        cell_size=CELL_M,
+        section_color=theme.sections,
+        section_size=SECTION_M,
         fade_distance=FADE_DISTANCE_M,
-        fade_strength=2.0,
+        fade_strength=FADE_STRENGTH,
         shadow_opacity=theme.shadow_opacity,
     )
-    points, colours = make_scale(theme)
-    return [grid, scene.add_line_segments("/scale", points, colours, thickness=SCALE_LINE_M)]
+    points, colours = make_axes()
+    return [grid, scene.add_line_segments("/axes", points, colours, thickness=AXIS_LINE_M)]
 
 
 class Scenery:
@@ -86,9 +87,9 @@ class Scenery:
             self._client.scene.set_background_image(make_sky(self.theme, background), format="png")
 
 
-SUN_POSITION: Final = (-5.0, -3.0, 8.0)
-"""Position of the default light: behind the camera of first views, whose robots are lit, beside it,
-so that shadows are seen."""
+SUN_POSITION: Final = (-2.5, -7.0, 6.5)
+"""Position of the default light: beside the camera of first views, so that the faces which it sees
+are lit, and shadows are seen beside the robots."""
 LAMP_DISTANCE_M: Final = 10.0
 """Distance of directional lamps from the origin."""
 LAMP_INTENSITY: Final = 2.2
@@ -98,6 +99,8 @@ FIT_DISTANCES_M: Final = (0.5, 5.0)
 SPOT_ANGLE_RAD: Final = 0.8
 """Half angle of the cone of a spot light without an angle."""
 AMBIENT_INTENSITY: Final = 3.0
+HAZE_SHARE: Final = 0.1
+"""Share of the height of the picture in which the sky turns into haze; below, the ground fades."""
 MAX_LIGHTS: Final = 8
 """Limit for the sake of frame rate."""
 
@@ -224,8 +227,8 @@ def find_light_position(lamp: Light) -> tuple[float, float, float]:
 
 def make_sky(theme: PageTheme, colour: Quat | None = None) -> np.ndarray:
     """Make a background image (rows, columns, 3), uint8: one colour, or the gradient of a theme."""
-    top, low = (theme.sky_top, theme.sky_bottom) if colour is None else (_to_rgb(colour),) * 2
-    weight = np.linspace(0.0, 1.0, 256)[:, None]
+    top, low = (theme.sky, theme.haze) if colour is None else (_to_rgb(colour),) * 2
+    weight = np.clip(np.linspace(0.0, 1.0 / HAZE_SHARE, 256), 0.0, 1.0)[:, None]
     column = np.asarray(top) * (1.0 - weight) + np.asarray(low) * weight
     image: np.ndarray = np.repeat(column[:, None, :], 4, axis=1).round().astype(np.uint8)
     return image

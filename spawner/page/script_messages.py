@@ -4,7 +4,7 @@ viser reports presses only; a held key, its end and a hidden tab are known to a 
 """
 
 from math import isfinite
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import msgspec
 
@@ -24,9 +24,11 @@ class ZensimLeave(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fie
 
 
 class ZensimSelect(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """The address of the page names an entity."""
+    """An entity was chosen in the list, or the address of the page names it; empty = none."""
 
     entity: Annotated[str, msgspec.Meta(max_length=256)]
+    is_added: bool = False
+    """Whether the rest of the selection stays."""
 
 
 class ZensimTheme(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
@@ -41,7 +43,19 @@ class ZensimModel(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fie
     model: Annotated[str, msgspec.Meta(max_length=256)]
 
 
-ScriptMessage = ZensimDrive | ZensimLeave | ZensimModel | ZensimSelect | ZensimTheme
+HeadOrder = Literal[
+    "Play", "Pause", "Step", "Reset time and poses", "Reset poses", "Reset time", "Reset all"
+]
+"""What the buttons of the head order for all visitors."""
+
+
+class ZensimAct(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """A button of the page's own controls was pressed."""
+
+    act: HeadOrder | Literal["Show all"]
+
+
+ScriptMessage = ZensimAct | ZensimDrive | ZensimLeave | ZensimModel | ZensimSelect | ZensimTheme
 _MESSAGES: Final = msgspec.msgpack.Decoder(ScriptMessage)
 
 
@@ -70,6 +84,13 @@ DRIVE_SCRIPT: Final = """
   let isOn = false, stopsLeft = 0;
   // Called by the server of the page: whether the selected robot can be driven.
   window.zensimDrives = (value) => { isOn = value; if (!value) held.clear(); };
+
+  // Buttons of the pad, which are held as keys are.
+  window.zensimHold = (code, isDown) => {
+    if (!isDown) { if (held.delete(code)) repeat(); return; }
+    if (isOn && !held.has(code)) { held.add(code); repeat(); }
+  };
+  window.zensimStop = () => stop();
 
   // Called by the server of the page: whether the simulation server is gone.
   window.zensimGreys = (value) => {

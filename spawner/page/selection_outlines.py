@@ -11,12 +11,12 @@ from zensim.proto.se3 import FloatArray
 from zensim.spawner.page.instance_updates import WXYZ_COLUMNS
 from zensim.spawner.page.model_visuals import Array, VisualTemplate
 from zensim.spawner.page.robot_colours import to_linear
-from zensim.spawner.page.viewer_client import PageState
+from zensim.spawner.page.viewer_client import PageState, StuckNode, ViewerClient
 
 OUTLINE_COLOURS: Final = ((255, 214, 64), (170, 178, 190))
 """Colours of the first selected entity, and of the others."""
-OUTLINE_GAP_M: Final = 0.015
-"""Gap between the bounds of an entity and its outline."""
+OUTLINE_GAPS_M: Final = 0.015 * np.array([(-1.0, -1.0, 0.2), (1.0, 1.0, 1.0)])
+"""Gaps between the bounds of an entity and its outline, which the ground must not hide."""
 OUTLINE_PX: Final = 2.5
 """Width of its lines on the screen."""
 
@@ -24,8 +24,8 @@ OUTLINE_PX: Final = 2.5
 class SelectionOutlines:
     """A box around each selected entity."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
+    def __init__(self, client: ViewerClient) -> None:
+        self._client, self._scene = client, client.scene
         self._boxes: list[tuple[VisualTemplate, viser.LineSegmentsHandle]] = []
 
     def draw(self, entities: Sequence[str], state: PageState) -> None:
@@ -34,9 +34,15 @@ class SelectionOutlines:
         templates = [state.fleet.templates[name] for name in shown]
         if [template for template, _ in self._boxes] != templates:
             self._replace(templates, state)
+        stuck: list[StuckNode] = []
         for name, (_, box) in zip(shown, self._boxes, strict=True):
+            instance = state.find_instance(name)
+            if instance is not None:
+                stuck.append(StuckNode(box.name, *instance, None))
+                continue
             pose = state.state_of(name)
             box.position, box.wxyz = pose[:3], pose[WXYZ_COLUMNS]
+        self._client.stick("outlines", tuple(stuck))
 
     def _replace(self, templates: Sequence[VisualTemplate], state: PageState) -> None:
         for _, box in self._boxes:
@@ -49,7 +55,7 @@ class SelectionOutlines:
     def _add(self, number: int, bounds: Array) -> viser.LineSegmentsHandle:
         return self._scene.add_line_segments(
             f"/selected/{number}",
-            make_box_edges(bounds + np.array([[-OUTLINE_GAP_M], [OUTLINE_GAP_M]])),
+            make_box_edges(bounds + OUTLINE_GAPS_M),
             to_linear(np.array(OUTLINE_COLOURS[min(number, 1)])),
             thickness=OUTLINE_PX,
             thickness_units="screen",

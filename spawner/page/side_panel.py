@@ -1,7 +1,7 @@
 """Side panel: orders of visitors, and states of simulation and robots as HTML."""
 
 from collections.abc import Callable
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 import msgspec
 
@@ -9,10 +9,13 @@ from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.proto.printable_text import to_html
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.model_visuals import Array
-from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_pose
-
-Button = Literal["Play", "Pause", "Step", "Reset"]
-BUTTONS: Final[tuple[Button, ...]] = get_args(Button)
+from zensim.spawner.page.render_state import (
+    LastCommand,
+    SimulationStatus,
+    format_pose,
+    is_moving,
+)
+from zensim.spawner.page.script_messages import HeadOrder
 
 
 def ignore(_found: object) -> None:
@@ -43,7 +46,7 @@ class WatchedTopic(msgspec.Struct, frozen=True):
     """Name of a topic of an entity, see `SensorTopic.name`."""
 
 
-Order = Button | WorldCall
+Order = HeadOrder | WorldCall
 """What a visitor requests of the world."""
 
 
@@ -62,21 +65,19 @@ PanelRows = list[tuple[str, str]]
 def make_status_html(status: SimulationStatus) -> str:
     """Format state, simulation time, real-time factor beside the wanted one, and robots."""
     colour = STATE_COLOURS.get(status.state, "var(--zensim-red)")
+    state = f'<span style="color:{colour}">&#9679;</span> {to_html(status.state)}'
     others = status.entities - status.robots
     robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
     malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
-    return _make_table(
-        [
-            (
-                "State",
-                f'<span style="color:{colour}">&#9679;</span> {to_html(status.state)}',
-            ),
-            ("Simulation time", format_clock(status.sim_time_s)),
-            ("Real-time factor", _write_factor(status)),
-            ("Robots", robots),
-            *malformed,
-        ]
-    )
+    cells = [
+        ("State", state),
+        ("Time", format_clock(status.sim_time_s)),
+        ("Real-time factor", _write_factor(status)),
+        ("Robots", robots),
+        *malformed,
+    ]
+    written = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for label, value in cells)
+    return f'<dl class="zensim-status" data-state="{to_html(status.state)}">{written}</dl>'
 
 
 def is_short(state: str, reached: float, wanted: float) -> bool:
@@ -94,26 +95,28 @@ def _write_factor(status: SimulationStatus) -> str:
 
 
 def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:
-    """Format namespace, pose, speed and last command of a robot.
-
-    Orders of fleets drive without `cmd_vel`.
-    """
+    """Format namespace, pose, speed of a robot, and what commands it."""
     pose, speed = format_pose(state)
     return _make_table(
         [
             ("Namespace", to_html(member.namespace)),
             ("Pose", pose),
             ("Speed", speed),
-            ("cmd_vel", format_command(command)),
+            ("Commanded by", format_command(command, moves=is_moving(state))),
         ]
     )
 
 
-def format_command(command: LastCommand | None) -> str:
-    """Format the last velocity command, with its age if that exceeds `STALE_S`."""
+def format_command(command: LastCommand | None, *, moves: bool = False) -> str:
+    """Format the last velocity command, with its age if that exceeds `STALE_S`.
+
+    Args:
+        command: Of its `cmd_vel`; None if there was none. Orders of clients need none.
+        moves: Whether the robot does.
+    """
     if command is None:
-        return "none"
-    text = f"v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
+        return "an order of a client, without cmd_vel" if moves else "nothing"
+    text = f"cmd_vel  v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
     return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
 
 

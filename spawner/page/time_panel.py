@@ -1,7 +1,6 @@
-"""The tab "Time": steps, run-to, real-time factor and reset."""
+"""The tab "Time": steps, run-to and real-time factor."""
 
 import time
-from collections.abc import Callable
 from typing import Final
 
 import msgspec
@@ -28,6 +27,7 @@ from zensim.proto.service_catalog import (
     SET_SPEED,
     STEP_SIMULATION,
 )
+from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
 from zensim.spawner.page.side_panel import AMBER, is_short
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
@@ -40,12 +40,6 @@ RUN_TIMEOUT_S: Final = 3600.0
 SETTLE_S: Final = 1.2
 """Statistics that arrive within this time after a change may be older than the change."""
 STEPS: Final = ("1 step", "10 steps", "1 s")
-RESETS: Final = {
-    "time and poses": ResetScope.TIME | ResetScope.STATE,
-    "poses": ResetScope.STATE,
-    "time": ResetScope.TIME,
-    "all, delete what was spawned": ResetScope.ALL,
-}
 
 
 class TimePanel(Panel):
@@ -77,14 +71,16 @@ class TimePanel(Panel):
         )
         self._speed.on_update(client.defer(self.set_factor))
         self._goal = gui.add_number("Time [s]", 10.0, min=0.0, max=1e9, step=0.1)
-        self._add_button("Run to this time", self.run_to, "Pauses there.")
-        self._add_button("Cancel run", self.cancel_run, "Also that of another visitor.")
+        begin = gui.add_button("Run to this time", hint="Pauses there.")
+        begin.on_click(lambda _: client.post(self.run_to))
+        cancel = gui.add_button(
+            "Cancel run", color=MUTED_BUTTON, hint="Also that of another visitor."
+        )
+        cancel.on_click(lambda _: client.post(self.cancel_run))
         self._run_text = gui.add_html("")
-        self._what = gui.add_dropdown("What to reset", tuple(RESETS))
-        self._add_button("Reset", self.reset, f"Of time and poses also {RESET.keys}")
         client.add_command(PLAY_OR_PAUSE, self.play_or_pause)
         client.add_command(STEP_ONCE, lambda: self.step(STEPS[0]))
-        client.add_command(RESET, lambda: self._reset(RESETS["time and poses"]))
+        client.add_command(RESET, self._reset)
 
     def update(self, state: PageState) -> None:
         """Show the wanted and the reached real-time factor, and why it is not reached."""
@@ -140,10 +136,6 @@ class TimePanel(Panel):
         self._run.cancel()
         self._client.call(CANCEL_STEPS, CancelStepsRequest())
 
-    def reset(self) -> None:
-        """Reset what the form selects."""
-        self._reset(RESETS[self._what.value])
-
     def _show_run(self) -> None:
         """Say that the world runs to a time, and for whom."""
         text, visitor = "", self._run.visitor
@@ -180,12 +172,9 @@ class TimePanel(Panel):
 
         self._client.call(RUN_TO, request, end, RUN_TIMEOUT_S, end)
 
-    def _reset(self, scope: int) -> None:
+    def _reset(self) -> None:
+        scope = ResetScope.TIME | ResetScope.STATE
         self._client.call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
-
-    def _add_button(self, label: str, act: Callable[[], None], hint: str) -> None:
-        button = self._client.gui.add_button(label, hint=hint)
-        button.on_click(lambda _: self._client.post(act))
 
 
 def make_factor_html(stats: Stats, step_s: float) -> str:

@@ -19,7 +19,7 @@ from zensim.spawner.page.sensor_display import ContactMarks
 from zensim.spawner.page.sensor_views import read_contacts
 from zensim.spawner.page.shape_overlays import CollisionShapes, FrameAxes
 from zensim.spawner.page.side_panel import WatchedTopic
-from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+from zensim.spawner.page.viewer_client import LABEL_GAP_M, PageState, Panel, StuckNode, ViewerClient
 
 if TYPE_CHECKING:
     from zensim.spawner.page.model_visuals import Array
@@ -62,7 +62,7 @@ class ViewPanel(Panel):
     def __init__(self, client: ViewerClient) -> None:
         """Add the controls for a visitor."""
         self._client = client
-        self._labels = NameLabels(client.scene)
+        self._labels = NameLabels(client)
         self._has_names = client.gui.add_checkbox(
             "Names",
             initial_value=False,
@@ -200,11 +200,12 @@ class MeasureTool:
 class NameLabels:
     """Names above entities."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
+    def __init__(self, client: ViewerClient) -> None:
+        self._client, self._scene = client, client.scene
         self._labels: dict[str, viser.LabelHandle] = {}
         self._places: dict[str, Array] = {}
         """Positions that the visitor has, by entity."""
+        self._stuck: dict[str, StuckNode] = {}
 
     def show(self, names: Sequence[str], state: PageState) -> None:
         """Show exactly the names of these entities that are there."""
@@ -218,11 +219,19 @@ class NameLabels:
                 self._labels[name] = self._scene.add_label(
                     f"/names/{name}", name, anchor="bottom-center", position=top
                 )
+        self._stuck = {}
+        for name in shown:
+            instance, height_m = state.find_instance(name), float(state.bounds_of(name)[1, 2])
+            if instance is not None:
+                node = self._labels[name].name
+                self._stuck[name] = StuckNode(node, *instance, height_m + LABEL_GAP_M)
+        self._client.stick("names", tuple(self._stuck.values()))
         self.move(shown, state)
 
     def move(self, names: Sequence[str], state: PageState) -> None:
         """Move shown names to their entities, if they have moved visibly."""
-        shown = [name for name in names if name in self._labels and name in state.fleet.rows]
+        moved = self._labels.keys() - self._stuck.keys()
+        shown = [name for name in names if name in moved and name in state.fleet.rows]
         if not shown:
             return
         tops = np.array([state.find_top(name) for name in shown])

@@ -61,6 +61,8 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
     """Last velocity command of the selected entities."""
     find_bounds: Callable[[VisualTemplate], Array] = lambda _: np.zeros((2, 3))
     """Finds the lowest and highest corner (2, 3) of a template in the frame of its base."""
+    find_instance: Callable[[str], tuple[str, int] | None] = lambda _: None
+    """Finds the batch, and the number in it, of a part of the base of an entity."""
 
     def state_of(self, entity: str) -> Array:
         """Return the state (STATE_COLUMNS,) of an entity."""
@@ -76,6 +78,18 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
         height_m = self.bounds_of(entity)[1, 2] + LABEL_GAP_M
         top: Array = self.state_of(entity)[:3] + np.array((0.0, 0.0, height_m))
         return top
+
+
+class StuckNode(msgspec.Struct, frozen=True, array_like=True):
+    """A node of a visitor that is where an entity is."""
+
+    node: str
+    batch: str
+    """Node of a part of the base of the entity."""
+    number: int
+    """Of the entity in the batch."""
+    lift_m: float | None
+    """Height above the entity of a node that stands upright; None = it turns along."""
 
 
 class Panel:
@@ -154,6 +168,7 @@ class ViewerClient:
         self.notify: Callable[[int, str], None] = lambda _visitor, _text: None
         self._panels: list[Panel] = []
         self._watches: dict[str, frozenset[WatchedTopic]] = {}
+        self._stuck: dict[str, tuple[StuckNode, ...]] = {}
         self._focus = np.zeros(3)
         self._camera_at = np.array(START_CAMERA[0])
         self._shown: tuple[tuple[str, ...], int, float] = ((), 0, 0.0)
@@ -220,6 +235,17 @@ class ViewerClient:
         """Watch exactly these topics for a purpose."""
         self._watches[purpose] = frozenset(watches)
 
+    def stick(self, purpose: str, nodes: tuple[StuckNode, ...]) -> None:
+        """Let exactly these nodes stick to entities for a purpose.
+
+        The browser moves them, as it draws what moves later than it receives it.
+        """
+        if self._stuck.get(purpose, ()) == nodes:
+            return
+        self._stuck[purpose] = nodes
+        everything = [one for some in self._stuck.values() for one in some]
+        self.run_script(f"zensimStick({msgspec.json.encode(everything).decode()})")
+
     def show_messages(self, messages: Mapping[WatchedTopic, msgspec.Struct]) -> None:
         """Hand new messages to the panels."""
         for watch in self.watched & messages.keys():
@@ -231,7 +257,7 @@ class ViewerClient:
         known = [name for name in dict.fromkeys(entities) if name in self.state.fleet.rows]
         self.selected = tuple(known[:MAX_SELECTED])
         self._focus = np.array(self.client.camera.look_at)
-        self.run_script(f"zensimSelected({json.dumps(self.selected[0] if self.selected else '')})")
+        self.run_script(f"zensimSelected({json.dumps(self.selected)})")
         for panel in self._panels:
             panel.change_selection()
 

@@ -69,6 +69,7 @@ from zensim.spawner.page.render_state import (
     make_fleet,
     make_frame,
 )
+from zensim.spawner.page.script_messages import HeadOrder
 from zensim.spawner.page.sensor_views import (
     SensedFrame,
     SensorChoice,
@@ -76,7 +77,7 @@ from zensim.spawner.page.sensor_views import (
     read_picture,
     read_points,
 )
-from zensim.spawner.page.side_panel import Button, Order, WatchedTopic, WorldCall
+from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.world_calls import CALL_TIMEOUT_S, WorldCalls
 
 MESH_CALL_TIMEOUT_S: Final = 0.8
@@ -216,6 +217,14 @@ STILL_PERIOD_S: Final = 0.1
 """Time between two views of a world that plays while nothing in it moves."""
 SERVER_TIMEOUT_S: Final = 1.8
 """A server sends snapshots at 2 Hz even when paused."""
+
+RESETS: Final[Mapping[str, int]] = {
+    "Reset time and poses": ResetScope.TIME | ResetScope.STATE,
+    "Reset poses": ResetScope.STATE,
+    "Reset time": ResetScope.TIME,
+    "Reset all": ResetScope.ALL,
+}
+"""Scopes of the orders that reset."""
 
 MonotonicClock = Callable[[], float]
 _FleetInputs = tuple[tuple[str, ...], GetModelsResponse, TriangleMeshes]
@@ -720,7 +729,7 @@ class Viewer:
             self._error_text = source.error_text
             self._page.warn(source.error_text or "the models of the robots are available again")
 
-    def _handle_button(self, button: Button) -> None:
+    def _handle_button(self, button: HeadOrder) -> None:
         if button == "Play":
             self._set_state(State.PLAYING)
         elif button == "Pause":
@@ -730,8 +739,7 @@ class Viewer:
                 self._set_state(State.PAUSED)
             self._call(STEP_SIMULATION, StepSimulationRequest(steps=1))
         else:
-            scope = ResetScope.TIME | ResetScope.STATE
-            self._call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
+            self._call(RESET_SIMULATION, ResetSimulationRequest(scope=RESETS[button]))
 
     def _set_state(self, state: State) -> None:
         self._call(

@@ -6,7 +6,7 @@ from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
 from types import MappingProxyType
-from typing import Final, cast
+from typing import Final
 
 import msgspec
 import viser
@@ -30,7 +30,9 @@ from zensim.spawner.page.render_state import (
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.scene_lighting import SceneLighting, set_up_scene
 from zensim.spawner.page.script_messages import (
+    HeadOrder,
     ScriptMessage,
+    ZensimAct,
     ZensimModel,
     ZensimSelect,
     ZensimTheme,
@@ -38,8 +40,6 @@ from zensim.spawner.page.script_messages import (
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
 from zensim.spawner.page.side_panel import (
-    BUTTONS,
-    Button,
     Order,
     WatchedTopic,
     WorldCall,
@@ -60,6 +60,8 @@ PANELS: Final[Mapping[str, PanelFactory]] = MappingProxyType(
 """Panels of each visitor by title of their tab, from left to right."""
 MAX_INPUT_S: Final = 0.02
 """Time for which events are handled before the next frame is drawn."""
+HEAD: Final = '<div data-zensim-part="head"></div>'
+"""Place of the buttons of the simulation, which the page's script fills."""
 TEXT_PERIOD_S: Final = 0.15
 """Update period of the texts of panels."""
 
@@ -125,7 +127,7 @@ class ViewerPage:
         """
         self._driver, self._more_panels, self._clock = driver, more_panels, clock
         self._run = WorldRun()
-        self._events: SimpleQueue[ClientEvent | Button] = SimpleQueue()
+        self._events: SimpleQueue[ClientEvent | HeadOrder] = SimpleQueue()
         self._orders: list[Order] = []
         self._clients: dict[int, ViewerClient] = {}
         self._state = PageState()
@@ -139,16 +141,11 @@ class ViewerPage:
         self._fleet_nodes = FleetNodes(self._server.scene, self._pick)
         self._status = self._server.gui.add_html(make_status_html(SimulationStatus()))
         if driver is not None:
-            self._add_buttons()
+            self._server.gui.add_html(HEAD)
         self._server.on_client_connect(
             lambda client: self._events.put(ClientConnected(client.client_id))
         )
         self._server.on_client_disconnect(self._handle_leave)
-
-    def _add_buttons(self) -> None:
-        """Add the buttons of the simulation, which all visitors share."""
-        buttons = self._server.gui.add_button_group("Simulation", BUTTONS)
-        buttons.on_click(lambda event: self._events.put(cast("Button", event.target.value)))
 
     @property
     def port(self) -> int:
@@ -198,7 +195,11 @@ class ViewerPage:
     ) -> None:
         """Draw one snapshot."""
         before = self._state
-        self._state = PageState(fleet, frame, status, commands, self._fleet_nodes.find_bounds)
+        self._state = PageState(
+            *(fleet, frame, status, commands),
+            self._fleet_nodes.find_bounds,
+            self._fleet_nodes.find_instance,
+        )
         if frame is not before.frame:
             with self._server.atomic():
                 self._lighting.show(fleet.scene, frame.lights)
@@ -284,7 +285,9 @@ class ViewerPage:
         if client is None:
             return
         if isinstance(message, ZensimSelect):
-            self._events.put(EntityPicked(client_id, message.entity, is_added=False))
+            self._events.put(EntityPicked(client_id, message.entity, message.is_added))
+        elif isinstance(message, ZensimAct):
+            self._take_act(client, message)
         elif isinstance(message, ZensimTheme):
             theme = DARK if message.is_dark else LIGHT
             self._events.put(ControlUsed(client_id, partial(client.scenery.switch, theme)))
@@ -292,6 +295,12 @@ class ViewerPage:
             self._events.put(ControlUsed(client_id, partial(client.choose_model, message.model)))
         else:
             client.receive(message)
+
+    def _take_act(self, client: ViewerClient, message: ZensimAct) -> None:
+        if message.act == "Show all":
+            self._events.put(ControlUsed(client.client.client_id, client.look_at_all))
+        elif self._driver is not None:  # else visitors may look only
+            self._events.put(message.act)
 
     def _notify(self, client_id: int, text: str) -> None:
         if client_id in self._clients:
@@ -306,7 +315,7 @@ class ViewerPage:
     def _use(self, client_id: int, act: Act) -> None:
         self._events.put(ControlUsed(client_id, act))
 
-    def _handle_event(self, event: ClientEvent | Button) -> None:
+    def _handle_event(self, event: ClientEvent | HeadOrder) -> None:
         if isinstance(event, str):
             self._orders.append(event)
             return

@@ -98,7 +98,9 @@ def test_page_and_notebook_get_no_tags_of_a_name(name: str) -> None:
 
     assert not any(map(FORBIDDEN.search, pages))
     assert {tag for one in found for tag in one.tags} & {"img", "script", "x", "y"} == set()
-    assert {name for one in found for name in one.attributes} <= {"style", "title", "border"}
+    assert {name for one in found for name in one.attributes} <= {
+        *("style", "title", "border", "class", "data-state"),
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,6 +9,7 @@ import zstandard
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from zensim.spawner.page.entity_list import LETTERS
 from zensim.spawner.page.scene_lighting import FOV_RAD, START_CAMERA
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
@@ -58,8 +59,13 @@ def encode_click(path: str, instance: int, modifier: str | None = None) -> bytes
 
 
 def encode_selection(entity: str) -> bytes:
-    """Encode the selection of an entity that the address of the page names."""
+    """Encode the selection of an entity in the list, or by the address of the page."""
     return _encoded("ZensimSelect", entity=entity)
+
+
+def encode_act(act: str) -> bytes:
+    """Encode a press of a button of the page's own controls."""
+    return _encoded("ZensimAct", act=act)
 
 
 def encode_model(model: str) -> bytes:
@@ -119,6 +125,32 @@ def _encoded(kind: str, **fields: object) -> bytes:
     return msgspec.msgpack.encode({"type": kind, **fields})
 
 
+def read_arguments(source: str) -> list[Any]:
+    """Read the arguments of a script that calls one function of the page."""
+    return list(msgspec.json.decode(f"[{source.partition('(')[2].removesuffix(')')}]"))
+
+
+class PageList:
+    """The list of entities, as the server has sent it to the script of the page."""
+
+    def __init__(self) -> None:
+        self.entities: list[list[Any]] = []
+        self.letters = ""
+
+    def take(self, source: str) -> None:
+        """Take a script of the server."""
+        if source.startswith("zensimEntities("):
+            self.entities, self.letters = read_arguments(source)[0], ""
+        elif source.startswith("zensimStatuses("):
+            self.letters = read_arguments(source)[0]
+
+    def rows(self) -> list[str]:
+        """List the names and statuses of all entities."""
+        statuses = {letter: status for status, letter in LETTERS.items()}
+        pairs = zip(self.entities, self.letters, strict=False)
+        return [f"{entity[0]} · {statuses[letter]}" for entity, letter in pairs]
+
+
 NO_CONTROLS = frozenset({"GuiFolderMessage", "RegisterCommandMessage"})
 """Messages with labels that add nothing whose value can be set."""
 
@@ -137,6 +169,9 @@ class PageVisitor:
         """Whether clicks anywhere in the scene are wanted."""
         self.downloads: list[str] = []
         """Names of files."""
+        self.page_list = PageList()
+        self.stuck: dict[str, list[Any]] = {}
+        """Batch, number and height of the entity that a node sticks to, by node."""
 
     def read(self) -> None:
         """Take in what has arrived."""
@@ -183,12 +218,6 @@ class PageVisitor:
         """Set the value of a control."""
         self._connection.send(encode_update(self.find(label), value=value))
 
-    def hold(self, label: str) -> None:
-        """Send what a held button sends once."""
-        uuid = self.find(label)
-        (frequency,) = self.controls[uuid]["_hold_callback_freqs"]
-        self._connection.send(_encoded("GuiButtonHoldMessage", uuid=uuid, frequency=frequency))
-
     def _take(self, message: dict[str, Any]) -> None:
         kind = message["type"]
         if kind == "ScenePointerEnableMessage":
@@ -197,10 +226,17 @@ class PageVisitor:
             self.downloads.append(message["filename"])
         elif kind == "NotificationShowMessage":
             self.notices.append(message["props"]["body"])
+        elif kind == "RunJavascriptMessage":
+            self._take_script(message["source"])
         elif "uuid" in message:
             self._take_control(kind, message["uuid"], message)
         elif "name" in message:
             self._take_node(kind, message["name"], message)
+
+    def _take_script(self, source: str) -> None:
+        self.page_list.take(source)
+        if source.startswith("zensimStick("):
+            self.stuck = {node: more for node, *more in read_arguments(source)[0]}
 
     def _take_control(self, kind: str, uuid: str, message: dict[str, Any]) -> None:
         if kind == "GuiUpdateMessage":

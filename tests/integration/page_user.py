@@ -1,6 +1,5 @@
 """PageUser: a visitor of the page without a browser, which uses its controls by their labels."""
 
-import re
 import threading
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -9,14 +8,13 @@ import msgspec
 import zstandard
 from websockets.exceptions import ConnectionClosed
 
-from tests.integration.page_client import connect_page, encode_camera, encode_update
+from tests.integration.page_client import PageList, connect_page, encode_camera, encode_update
 from tests.integration.processes import eventually
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 HEADER_BYTES = 16
-LIST_TEXT = re.compile("[0-9] of [0-9]+ found|The world is empty")
 
 
 class PageUser:
@@ -36,6 +34,7 @@ class PageUser:
         self.connection: ClientConnection = connect_page(url, cookie=cookie)
         self.notifications: list[str] = []
         self.scripts: list[str] = []
+        self.page_list = PageList()
         self.camera_messages = 0
         self._controls: dict[str, dict[str, Any]] = {}
         self._commands: dict[str, str] = {}
@@ -47,9 +46,9 @@ class PageUser:
         self.connection.send(encode_camera())
 
     def __enter__(self) -> "PageUser":
-        # The state is common to all visitors. The text of the list is filled after all controls
-        # of this visitor are there, with their callbacks.
-        eventually(lambda: LIST_TEXT.search(self.texts()), 20.0, "the list of entities")
+        # The state is common to all visitors. The list is sent after all controls of this visitor
+        # are there, with their callbacks.
+        eventually(lambda: "zensimEntities(" in str(self.scripts), 20.0, "the list of entities")
         return self
 
     def __exit__(
@@ -74,12 +73,6 @@ class PageUser:
         uuid = str(self.control(label)["uuid"])
         self.connection.send(encode_update(uuid, value=value))
 
-    def hold(self, label: str) -> None:
-        """Send what a held button sends once."""
-        control = self.control(label)
-        hz = control["props"]["_hold_callback_freqs"][0]
-        self.send("GuiButtonHoldMessage", uuid=control["uuid"], frequency=hz)
-
     def run(self, command: str) -> None:
         """Run a command of the palette."""
         uuid = eventually(lambda: self._commands.get(command), 10.0, f"command {command}")
@@ -102,9 +95,16 @@ class PageUser:
         return list(self.control(label)["props"]["options"])
 
     def wait_for_row(self, entity: str) -> None:
-        """Wait until an entity is in the list of the page, which has the first 50."""
-        row = f"{entity} · "
-        eventually(lambda: any(o.startswith(row) for o in self.list_labels()), 20.0, row)
+        """Wait until an entity is in the list of the page."""
+        eventually(lambda: entity in self.list_rows(), 20.0, f"a row of {entity}")
+
+    def list_rows(self) -> dict[str, str]:
+        """Return the status of each entity in the list of the page."""
+        return dict(row.split(" · ") for row in self.page_list.rows())
+
+    def act(self, act: str) -> None:
+        """Press a button of the page's own controls."""
+        self.send("ZensimAct", act=act)
 
     def texts(self) -> str:
         """Return the content of all texts."""
@@ -150,6 +150,7 @@ class PageUser:
             self.notifications.append(str(message["props"]["body"]))
         elif kind == "RunJavascriptMessage":
             self.scripts.append(str(message["source"]))
+            self.page_list.take(self.scripts[-1])
         elif kind == "SetCameraPositionMessage":
             self.camera_messages += 1
         elif kind == "ScenePointerEnableMessage":

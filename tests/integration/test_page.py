@@ -21,6 +21,7 @@ from websockets.sync.client import ClientConnection
 from tests.fakes import MemoryBus
 from tests.integration.page_client import (
     connect_page,
+    encode_act,
     encode_camera,
     encode_click,
     encode_share_request,
@@ -241,13 +242,14 @@ def wait_for_button(page: ViewerPage) -> list[str]:
 def test_a_page_sets_no_attribute_of_a_control_but_its_value(
     page: ViewerPage, visitor: ClientConnection, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    buttons = find_control(visitor, "GuiButtonGroupMessage")
+    visitor.send(encode_camera())
+    slider = find_control(visitor, "GuiSliderMessage")
 
-    visitor.send(encode_update(buttons, update_cb=[]))
-    visitor.send(encode_update(buttons, value="Explode"))
+    visitor.send(encode_update(slider, update_cb=[]))
+    visitor.send(encode_act("Explode"))
     visitor.send(b"\xff" * 9)
     visitor.send("text")
-    visitor.send(encode_update(buttons, value="Pause"))
+    visitor.send(encode_act("Pause"))
 
     assert wait_for_button(page) == ["Pause"]
     assert capfd.readouterr() == ("", "")
@@ -255,10 +257,10 @@ def test_a_page_sets_no_attribute_of_a_control_but_its_value(
 
 def test_a_message_above_the_limit_ends_only_its_sender(page: ViewerPage) -> None:
     with closing(connect_page(url_of(page))) as large, closing(connect_page(url_of(page))) as other:
-        buttons = find_control(other, "GuiButtonGroupMessage")
         other.send(encode_camera())
+        page.wait_for_input(1.0)
         large.send(encode_camera() + b"\0" * MAX_MESSAGE_BYTES)
-        other.send(encode_update(buttons, value="Play"))
+        other.send(encode_act("Play"))
 
         assert wait_for_button(page) == ["Play"]
         with pytest.raises(ConnectionClosed):
@@ -310,7 +312,7 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
     with opener.open(f"{url}/names") as response:
         assert response.status == 200
     with closing(connect_page(url, cookie=f"a=b; {cookie_of(url)}")) as connection:
-        find_control(connection, "GuiButtonGroupMessage")
+        find_control(connection, "GuiHtmlMessage")
 
 
 def cookie_of(url: str) -> str:

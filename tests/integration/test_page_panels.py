@@ -1,7 +1,7 @@
 """Every control of the page, used by a visitor without a browser."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from tests.fakes import ManualClock, MemoryBus, StandingClock
 from tests.integration.page_client import (
     PageVisitor,
     connect_page,
+    encode_act,
     encode_camera,
     encode_click,
     encode_drive,
@@ -57,7 +58,6 @@ from zensim.proto.messages.standard_messages import LaserScan, Twist
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL
-from zensim.spawner.page.entity_panel import MAX_ROWS
 from zensim.spawner.page.pending_deletions import UNDO_S
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -205,7 +205,7 @@ def visiting(
         visit = Visit(page, connection)
         visit.set_world("r1", "r2", "w1", "s1")
         visit.until(lambda: page.is_watched, "a visitor")
-        visit.until(lambda: "r1 · no agent" in visit.visitor.labels(), "a list")
+        visit.until(lambda: "r1 · no agent" in visit.visitor.page_list.rows(), "a list")
         yield visit
 
 
@@ -261,16 +261,17 @@ def commands(bus: MemoryBus) -> Subscription:
 
 
 def rows_of(visit: Visit) -> list[str]:
-    return [label.split(" · ")[0] for label in visit.visitor.labels() if " · " in label]
+    return [row.split(" · ")[0] for row in visit.visitor.page_list.rows()]
 
 
 def test_list_has_all_entities_by_category(visit: Visit) -> None:
     visit.until(lambda: sorted(rows_of(visit)) == ["r1", "r2", "s1", "w1"], "four rows")
-    visit.until(lambda: {"Robots (3)", "Objects (1)"} <= {*visit.visitor.labels()}, "titles")
+    categories = {one[0]: one[1] for one in visit.visitor.page_list.entities}
+    assert categories == {"r1": 0, "r2": 0, "s1": 0, "w1": 1}
 
 
 def test_row_selects_its_entity(visit: Visit) -> None:
-    visit.press("r2 · no agent")
+    visit.connection.send(encode_selection("r2"))
 
     visit.until_selected("r2")
     visit.until(lambda: "Stop following" in visit.visitor.labels(), "details")
@@ -282,26 +283,11 @@ def test_row_selects_its_entity(visit: Visit) -> None:
     visit.until(lambda: "/names/r2" not in visit.visitor.nodes, "no name")
 
 
-def test_search_and_status_narrow_the_list(visit: Visit) -> None:
-    visit.set("Search", "R1")
-    visit.until(lambda: rows_of(visit) == ["r1"], "one row")
-
-    visit.set("Search", "")
-    visit.set("Status", "Moving")
-    visit.until(lambda: rows_of(visit) == [], "no row")
-    visit.set("Status", "All")
-    visit.until(lambda: len(rows_of(visit)) == 4, "all rows")
-
-
-def test_list_is_limited_and_search_finds_the_rest(visit: Visit) -> None:
+def test_list_has_what_a_search_finds_and_colours_of_robots(visit: Visit) -> None:
     visit.set_world(*(f"r{number}" for number in range(300)))
-    visit.until(lambda: len(rows_of(visit)) == MAX_ROWS, "a full list")
-    visit.until(lambda: "300 of 300 found" in visit.visitor.texts(), "a count")
+    visit.until(lambda: len(rows_of(visit)) == 300, "all rows")
 
-    visit.set("Search", "r299")
-    visit.until(lambda: rows_of(visit) == ["r299"], "one row")
-    visit.press("r299 · no agent")
-    visit.until_selected("r299")
+    assert visit.visitor.page_list.entities[1] == ["r1", 0, "r1 bot", "#e69f00"]
 
 
 def test_an_empty_world_says_how_to_begin_where_a_visitor_may_act(acting: Visit) -> None:
@@ -357,7 +343,7 @@ def test_show_all_ends_the_selection(visit: Visit) -> None:
     visit.click("r1")
     visit.until_selected("r1")
 
-    visit.press("Show all")
+    visit.connection.send(encode_act("Show all"))
 
     visit.until_selected()
 
@@ -387,29 +373,38 @@ def test_names_are_shown_above_robots_as_switched(visit: Visit) -> None:
     assert "/names/w1" not in visit.visitor.nodes
 
     visit.base_x = 5.0
-    visit.until(lambda: place_of(visit, "/names/r1")[0] > 4.9, "a name that moves along")
+    visit.until(lambda: visit.visitor.stuck["/names/r1"][:2] == place_in_batch(visit, "r1"), "it")
     visit.set("Names", value=False)
     visit.until(lambda: "/names/r1" not in visit.visitor.nodes, "no names")
 
 
-def test_names_of_robots_that_stand_are_sent_once(visit: Visit) -> None:
+def test_names_are_sent_once(visit: Visit) -> None:
     visit.set("Names", value=True)
     visit.until(lambda: "/names/s1" in visit.visitor.nodes, "names")
     node = visit.visitor.nodes["/names/r1"]
     node["position"] = None
 
     shown_s = visit.time_s
+    visit.base_x = 2.0
     visit.until(lambda: visit.time_s > shown_s + 1.0, "further frames")
     assert node["position"] is None
 
-    visit.base_x = 2.0
-    visit.until(lambda: place_of(visit, "/names/r1")[0] > 1.9, "a name that moves again")
+
+def test_outline_sticks_to_its_robot_when_others_come_and_go(visit: Visit) -> None:
+    visit.click("r2")
+    visit.until(lambda: "/selected/0" in visit.visitor.stuck, "an outline")
+    assert visit.visitor.stuck["/selected/0"] == [*place_in_batch(visit, "r2"), None]
+
+    visit.set_world("r2", "w1")
+
+    visit.until(lambda: visit.visitor.stuck["/selected/0"][1] == 0, "its new number")
+    visit.press("Stop following")
+    visit.until(lambda: not visit.visitor.stuck, "nothing that sticks")
 
 
-def place_of(visit: Visit, path: str) -> Sequence[float]:
-    """Return the position that the visitor has of a node; zeros before it has one."""
-    place: Sequence[float] = visit.visitor.nodes[path].get("position") or (0.0, 0.0, 0.0)
-    return place
+def place_in_batch(visit: Visit, name: str) -> list[object]:
+    """Return the batch of the base of an entity, and its number there."""
+    return [*(visit.client.state.find_instance(name) or ())]
 
 
 @pytest.mark.parametrize(
@@ -527,20 +522,18 @@ def test_sensor_is_shown_as_switched(visit: Visit) -> None:
 @pytest.mark.parametrize(
     ("label", "value"),
     [
-        ("Search", True),
-        ("Search", 3),
-        ("Status", "Exploded"),
-        ("Status", [1.0, 2.0, 3.0]),
+        ("Draw for", "Exploded"),
+        ("Draw for", [1.0, 2.0, 3.0]),
         ("Names", "yes"),
         ("Names", 1.0),
-        ("Show all", "now"),
+        ("Save as CSV", "now"),
     ],
 )
 def test_control_takes_no_value_that_it_does_not_offer(
     visit: Visit, capfd: pytest.CaptureFixture[str], label: str, value: object
 ) -> None:
     visit.set(label, value)
-    visit.press("r1 · no agent")
+    visit.connection.send(encode_selection("r1"))
 
     visit.until_selected("r1")
     assert len(rows_of(visit)) == 4
@@ -555,9 +548,9 @@ def test_removed_control_is_without_effect(visit: Visit) -> None:
     visit.until_selected("r2")
 
     visit.connection.send(encode_update(uuid, value=True))
-    visit.set("Search", "none has this name")
+    visit.set("Names", value=True)
 
-    visit.until(lambda: rows_of(visit) == [], "what was sent after it")
+    visit.until(lambda: "/names/r1" in visit.visitor.nodes, "what was sent after it")
     assert visit.page.selected == {"r2"}
 
 
@@ -597,7 +590,6 @@ ENDS: dict[str, Callable[[Visit], None]] = {
     "released key": lambda visit: visit.connection.send(encode_drive()),
     "hidden page": lambda visit: visit.connection.send(encode_leave()),
     "closed page": lambda visit: visit.connection.close(),
-    "Stop": lambda visit: visit.press("Stop"),
     "Stop all": lambda visit: visit.press("Stop all"),
     "another robot": lambda visit: visit.click("r2"),
     "no robot": lambda visit: visit.press("Stop following"),
@@ -617,24 +609,17 @@ def test_a_robot_that_is_driven_stops_at_each_end(
     wait_for_stop(driving, commands)
 
 
-@pytest.mark.parametrize(
-    ("label", "forward", "turn"),
-    [
-        ("Forward", 1.0, 0.0),
-        ("Backward", -1.0, 0.0),
-        ("Turn left", 0.0, 1.0),
-        ("Turn right", 0.0, -1.0),
-    ],
-)
-def test_a_held_button_drives_at_the_chosen_share_until_it_is_released(
-    driving: Visit, commands: Subscription, label: str, forward: float, turn: float
+@pytest.mark.parametrize(("forward", "turn"), [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+def test_what_is_held_drives_at_the_chosen_share_until_it_is_released(
+    driving: Visit, commands: Subscription, forward: float, turn: float
 ) -> None:
     select(driving, "r1")
     driving.set("Speed [%]", 50)
+    driving.show()
 
-    driving.visitor.hold(label)
+    driving.connection.send(encode_drive(forward=forward, turn=turn))
     first = eventually(lambda: next(iter(read(commands)), None), WITHIN_S, "a command")
-    driving.press(label)
+    driving.connection.send(encode_drive())
 
     assert first.linear.x == pytest.approx(0.5 * forward * USUAL_SPEED_M_S)
     assert first.angular.z == pytest.approx(0.5 * turn * USUAL_TURN_RAD_S)

@@ -169,7 +169,7 @@ def test_world_and_page_go_on_when_a_wall_and_a_deleted_robot_are_clicked() -> N
                 user.send("ZensimSelect", entity=name)
                 assert user.control(name)["type"] == "GuiFolderMessage"
             SimClient(bus).delete("box_bot1")
-            eventually(lambda: "box_bot1" not in user.list_labels(), 20.0, "no such entity")
+            eventually(lambda: "box_bot1" not in user.list_rows(), 20.0, "no such entity")
 
             user.send("ZensimSelect", entity="box_bot1")
             user.send("ZensimSelect", entity="box_bot0")

@@ -41,7 +41,11 @@ pytestmark = pytest.mark.browser
 # Beside the tabs: the simulation, and tools.
 
 
+RESETS = ("Time and poses", "Poses", "Time", "All, delete what was spawned")
+
+
 @uses(a_button("", "Pause"), a_button("", "Step"), a_button("", "Reset"), a_button("", "Play"))
+@uses(Control("", "menuitem", RESETS[0]))
 @pytest.mark.smoke
 def test_buttons_of_the_simulation(page: Page) -> None:
     page.controls.click(a_button("", "Pause"))
@@ -49,9 +53,30 @@ def test_buttons_of_the_simulation(page: Page) -> None:
     page.controls.click(a_button("", "Step"))
     page.until_info(lambda info: info.steps == before.steps + 1, "a step")
     page.controls.click(a_button("", "Reset"))
+    page.controls.click(Control("", "menuitem", RESETS[0]))
     page.until_info(lambda info: info.epoch == before.epoch + 1, "a reset")
     page.controls.click(a_button("", "Play"))
     page.until_info(lambda info: info.state == "playing", "playing")
+
+
+@uses(*(Control("", "menuitem", name) for name in RESETS[1:3]))
+def test_poses_or_time_alone_are_reset(page: Page) -> None:
+    for name in RESETS[1:3]:
+        before = page.server.client.info().epoch
+        page.controls.click(a_button("", "Reset"))
+        page.controls.click(Control("", "menuitem", name))
+        page.until_info(lambda info, before=before: info.epoch == before + 1, name)  # type: ignore[misc]
+
+
+@uses(Control("", "menuitem", RESETS[3]))
+def test_menu_of_resets_is_left_by_its_keys(page: Page) -> None:
+    page.controls.click(a_button("", "Reset"))
+    for _ in range(3):
+        page.controls.press_key("ArrowDown")
+    page.controls.until(f"document.activeElement.innerText === '{RESETS[3]}'")
+    page.controls.used.add(Control("", "menuitem", RESETS[3]))  # it would delete the robots
+    page.controls.press_key("Escape")
+    page.controls.until("document.querySelector('.zensim-menu > [role=menu]').hidden")
 
 
 @uses(*(Control("", "tab", title) for title in TABS))
@@ -255,6 +280,9 @@ def list_of_dialogs(page: Page) -> set[Control]:
 
     controls.turn_to("Edit")
     list_with(lambda: controls.click(a_button("Edit", "Undo")), HAS_NOTICE)
+    is_open = "!document.querySelector('.zensim-menu > [role=menu]').hidden"
+    list_with(lambda: controls.click(a_button("", "Reset")), is_open)
+    controls.press_key("Escape")
     list_with(lambda: controls.click(a_button("", HELP)), IS_HELP_OPEN)
     listed |= {a_key(entry) for entry in page.tab.evaluate(HELP_ENTRIES)}
     controls.press_key("Escape")

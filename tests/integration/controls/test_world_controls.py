@@ -243,12 +243,3 @@ def test_world_runs_to_a_time_and_a_run_is_canceled(page: Page) -> None:
     page.controls.click(a_button("Time", "Cancel run"))
     page.controls.until_no_text("Running to 9999 s")
     page.until_info(lambda info: info.state == "paused", "its end")
-
-
-@uses(a_choice("Time", "What to reset"), a_button("Time", "Reset", 1))
-def test_time_alone_is_reset(page: Page) -> None:
-    before = page.server.client.info()
-    page.controls.choose(a_choice("Time", "What to reset"), "time")
-    page.controls.click(a_button("Time", "Reset", 1))
-    page.until_info(lambda info: info.epoch == before.epoch + 1, "a reset")
-    page.controls.choose(a_choice("Time", "What to reset"), "time and poses")

@@ -1,4 +1,4 @@
-"""Categories, status and search of the list of entities."""
+"""Categories, status and encoding of the list of entities."""
 
 import msgspec
 import numpy as np
@@ -8,12 +8,12 @@ from tests.spawner.page.builders import make_models_by_name, make_robot, make_sn
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.spawner.page.entity_list import (
-    CHOICES,
-    Choice,
+    CATEGORIES,
+    encode_statuses,
     find_category,
     find_statuses,
     is_blocked,
-    search_entities,
+    list_entities,
 )
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -106,32 +106,20 @@ def test_blocked_robot_does_not_move_as_commanded(
     assert is_blocked(state, LastCommand(forward, turn, age_s)) is is_so
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("", ["r1", "r2", "box", "wall"]),
-        ("R", ["r1", "r2"]),
-        ("  r 2 ", ["r2"]),
-        ("bot", ["r1", "r2"]),
-        ("nothing", []),
-    ],
-)
-def test_search_finds_all_words_in_name_or_model(text: str, names: list[str]) -> None:
+def test_list_has_category_words_and_colour_of_each_entity() -> None:
+    listed = list_entities(a_fleet())
+
+    assert [one.name for one in listed] == ["r1", "r2", "box", "wall"]
+    assert [CATEGORIES[one.category] for one in listed] == ["Robots", "Robots", "Objects", "World"]
+    assert listed[1].words == "r2 bot"
+    assert [bool(one.colour) for one in listed] == [True, True, False, False]
+
+
+def test_statuses_are_letters_and_centimetres_a_second() -> None:
     fleet = a_fleet()
+    frame = a_frame(fleet, vx=0.304)
 
-    found = search_entities(fleet, find_statuses(fleet, a_frame(fleet), {}), text)
+    letters, speeds = encode_statuses(find_statuses(fleet, frame, {}), frame)
 
-    assert [name for one in found.names.values() for name in one] == names
-    assert found.count == len(names)
-
-
-@pytest.mark.parametrize(
-    ("choice", "names"), [("No agent", ["r2"]), ("Standing", ["r1"]), ("Moving", [])]
-)
-def test_search_lists_entities_of_a_status(choice: Choice, names: list[str]) -> None:
-    fleet = a_fleet()
-    assert choice in CHOICES
-
-    found = search_entities(fleet, find_statuses(fleet, a_frame(fleet), {}), "", choice)
-
-    assert [name for one in found.names.values() for name in one] == names
+    assert letters == '"mnzt"'
+    assert speeds == "[30,0,0,0]"

@@ -3,7 +3,7 @@
 import re
 
 from zensim.spawner.page.edit_panel import make_pictures_html
-from zensim.spawner.page.entity_panel import MUTED_BUTTON
+from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.page_tools import STYLE, make_help_html, make_tools_script
 
 

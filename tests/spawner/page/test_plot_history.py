@@ -82,7 +82,7 @@ def test_columns_of_a_robot_are_speed_turn_rate_and_position() -> None:
 
     assert list(values.values()) == pytest.approx([0.5, 0.6, -0.5, 0.7, 1.0, 2.0])
     assert [*values] == [one for pair in name_robot_columns("r1").values() for one in pair]
-    assert measure_robot("r1", state, None)["r1 v commanded [m/s]"] == 0.0
+    assert "r1 v commanded [m/s]" not in measure_robot("r1", state, None)
 
 
 @pytest.mark.parametrize(

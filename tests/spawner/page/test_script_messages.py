@@ -9,6 +9,8 @@ import pytest
 
 from zensim.spawner.page.script_messages import (
     DRIVE_SCRIPT,
+    ScriptMessage,
+    ZensimAct,
     ZensimDrive,
     ZensimLeave,
     ZensimSelect,
@@ -162,6 +164,20 @@ def test_space_stops_though_a_control_has_the_focus_which_it_then_loses(kind: st
 
 
 @pytest.mark.browser
+def test_a_held_button_of_the_pad_drives_and_its_stop_ends_what_is_held() -> None:
+    sent, _ = run("zensimHold('KeyA', true);tick();zensimHold('KeyA', false);tick()")
+    assert sent == [[0, 0, 1], [0, 0, 1], STOP, STOP]
+
+    sent, _ = run("down('KeyW');zensimStop();tick()")
+    assert sent == [[1, 0, 0], STOP, STOP]
+
+
+@pytest.mark.browser
+def test_pad_is_without_effect_while_no_robot_is_selected() -> None:
+    assert run("zensimHold('KeyW', true);tick()", is_on=False) == ([], [])
+
+
+@pytest.mark.browser
 def test_deselecting_the_robot_sends_zeros() -> None:
     sent, _ = run("down('KeyW');window.zensimDrives(false);tick();tick();tick();tick()")
 
@@ -179,11 +195,17 @@ def test_a_gamepad_drives_beyond_its_dead_zone_while_the_page_has_the_focus() ->
 
 
 @pytest.mark.parametrize(
-    "message", [ZensimDrive(1.0, 0.0, -0.5), ZensimLeave(), ZensimSelect("r1")]
+    "message",
+    [
+        ZensimAct("Reset all"),
+        ZensimAct("Show all"),
+        ZensimDrive(1.0, 0.0, -0.5),
+        ZensimLeave(),
+        ZensimSelect("r1"),
+        ZensimSelect("r1", is_added=True),
+    ],
 )
-def test_messages_of_the_script_are_read(
-    message: ZensimDrive | ZensimLeave | ZensimSelect,
-) -> None:
+def test_messages_of_the_script_are_read(message: ScriptMessage) -> None:
     assert read_script_message(msgspec.msgpack.encode(message)) == message
 
 
@@ -194,6 +216,7 @@ def test_messages_of_the_script_are_read(
         {"type": "ZensimDrive", "forward": float("nan"), "left": 0.0, "turn": 0.0},
         {"type": "ZensimDrive", "forward": 1.0},
         {"type": "ZensimSelect", "entity": "r" * 257},
+        {"type": "ZensimAct", "act": "Explode"},
         {"type": "ViewerCameraMessage"},
         {},
     ],

@@ -63,8 +63,8 @@ def test_status_warns_of_a_real_time_factor_below_the_wanted_one(
         "Real-time factor"
     )[1:]
 
-    value = line.split("Robots")[0]
-    assert f">{text}<" in value
+    value = line.partition("<dd>")[2].split("Robots")[0]
+    assert text in value
     assert (AMBER in value) is is_amber
 
 
@@ -88,13 +88,21 @@ def test_markup_in_names_is_escaped() -> None:
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        (None, "none"),
-        (LastCommand(0.1, 0.0, age_s=0.5), "v 0.10 m/s  w 0.00 rad/s"),
-        (LastCommand(0.1, 0.0, age_s=4.2), "v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
+        (None, "nothing"),
+        (LastCommand(0.1, 0.0, age_s=0.5), "cmd_vel  v 0.10 m/s  w 0.00 rad/s"),
+        (LastCommand(0.1, 0.0, age_s=4.2), "cmd_vel  v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
     ],
 )
 def test_old_command_is_shown_with_its_age(command: LastCommand | None, text: str) -> None:
     assert format_command(command) == text
+
+
+@pytest.mark.parametrize("column", [7, 12])
+def test_robot_that_moves_without_cmd_vel_is_ordered_by_a_client(column: int) -> None:
+    state = REST.copy()
+    state[column] = 0.3
+
+    assert "an order of a client" in make_robot_html(EntityModel("r1", "r1", 0), state, None)
 
 
 @pytest.mark.parametrize("count", [0, 3])

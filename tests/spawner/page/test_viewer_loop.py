@@ -1,6 +1,7 @@
 """Loop of the viewer with a fake page and a fake server."""
 
 from collections.abc import Mapping
+from typing import get_args
 
 import msgspec
 import pytest
@@ -19,6 +20,7 @@ from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.proto.messages.simulation_messages import (
+    ResetScope,
     ResetSimulationRequest,
     SetSimulationStateRequest,
     SetSimulationStateResponse,
@@ -37,8 +39,9 @@ from zensim.spawner.page.render_state import (
     RenderedFrame,
     SimulationStatus,
 )
+from zensim.spawner.page.script_messages import HeadOrder
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
-from zensim.spawner.page.side_panel import BUTTONS, Button, Order, WatchedTopic, WorldCall
+from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_loop import POLL_S, Viewer
 
 SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
@@ -113,7 +116,7 @@ class Setup:
             self.server.publish(make_snapshot("r1", joints=1, state=state))
         self.viewer.tick()
 
-    def press(self, *buttons: Button) -> None:
+    def press(self, *buttons: HeadOrder) -> None:
         self.page.pressed += buttons
         self.tick()
 
@@ -211,10 +214,13 @@ def set_state(state: State) -> SetSimulationStateRequest:
         ("Play", set_state(State.PLAYING)),
         ("Pause", set_state(State.PAUSED)),
         ("Step", StepSimulationRequest(steps=1)),
-        ("Reset", ResetSimulationRequest(scope=3)),
+        ("Reset time and poses", ResetSimulationRequest(scope=3)),
+        ("Reset poses", ResetSimulationRequest(scope=ResetScope.STATE)),
+        ("Reset time", ResetSimulationRequest(scope=ResetScope.TIME)),
+        ("Reset all", ResetSimulationRequest(scope=ResetScope.ALL)),
     ],
 )
-def test_button_calls_its_service(button: Button, request_: object) -> None:
+def test_button_calls_its_service(button: HeadOrder, request_: object) -> None:
     setup = Setup()
 
     setup.press(button)
@@ -276,9 +282,9 @@ def test_viewer_warns_without_a_reply() -> None:
     setup = Setup()
     setup.server.is_silent = True
 
-    setup.press(*BUTTONS)
+    setup.press(*get_args(HeadOrder))
 
-    assert len(setup.page.warnings) == len(BUTTONS)
+    assert len(setup.page.warnings) == len(get_args(HeadOrder))
 
 
 SCAN_CHOICE = SensorChoice("r1", "scan")

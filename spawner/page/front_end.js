@@ -1,0 +1,273 @@
+// Own controls of the page: head, list of entities and drive pad; what sticks to robots.
+// The server puts empty elements with data-zensim-part into its panel; they are filled here.
+(() => {
+"use strict";
+const REFRESH_MS = 120, SPARE_ROWS = 4;
+const CATEGORIES = ["Robots", "Objects", "World"];
+const STATUSES = {
+  m: "moving", s: "standing", z: "asleep", n: "no agent", b: "blocked", t: "static",
+};
+const RESETS = ["time and poses", "poses", "time", "all"];
+const PAD = [
+  ["forward", "KeyW", "Forward", "W"], ["left", "KeyA", "Turn left", "A"],
+  ["right", "KeyD", "Turn right", "D"], ["back", "KeyS", "Backward", "S"],
+];
+const ICONS = {
+  Play: "M7 4.5v15l12-7.5z", Pause: "M7 5h4v14H7zM14 5h4v14h-4z",
+  Step: "M6 5v14l9-7zM16 5h3v14h-3z",
+  Reset: "M12 5V2L7 6l5 4V7a5 5 0 1 1-5 5H5a7 7 0 1 0 7-7z",
+  All: "M4 9V4h5v2H6v3zM15 4h5v5h-2V6h-3zM4 15h2v3h3v2H4zM18 15h2v5h-5v-2h3z",
+  forward: "M12 6l7 11H5z", back: "M12 18L5 7h14z", left: "M6 12l11-7v14z", right: "M18 12L7 19V5z",
+  Stop: "M6 6h12v12H6z",
+};
+
+function send(message) {
+  const page = window.__viserMutable;
+  if (page && page.sendMessage) page.sendMessage(message);
+}
+
+function make(parent, kind, attributes, text) {
+  const element = document.createElement(kind);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  if (text !== undefined) element.textContent = text;
+  if (parent) parent.append(element);
+  return element;
+}
+
+function makeButton(parent, label, icon, act, attributes = {}) {
+  const button = make(parent, "button", {type: "button", ...attributes});
+  if (icon) {
+    const picture = `<svg viewBox="0 0 24 24" aria-hidden="true"><path d="${ICONS[icon]}"/></svg>`;
+    button.insertAdjacentHTML("beforeend", picture);
+  }
+  make(button, "span", {}, label);
+  if (act) button.addEventListener("click", act);
+  return button;
+}
+
+// ---- Head: play or pause, step, reset.
+
+function fillHead(place) {
+  const bar = make(place, "div", {class: "zensim-head", role: "group", "aria-label": "Simulation"});
+  const play = makeButton(bar, "Pause", "Pause", () => send({type: "ZensimAct", act: play.act}));
+  play.classList.add("zensim-play");
+  makeButton(bar, "Step", "Step", () => send({type: "ZensimAct", act: "Step"}));
+  const box = make(bar, "div", {class: "zensim-menu"});
+  const reset = makeButton(box, "Reset", "Reset", () => open(menu.hidden),
+    {"aria-haspopup": "menu", "aria-expanded": "false"});
+  const menu = make(box, "div", {role: "menu", "aria-label": "What to reset", hidden: ""});
+  const open = (isOpen) => {
+    menu.hidden = !isOpen;
+    reset.setAttribute("aria-expanded", isOpen);
+    if (isOpen) menu.firstElementChild.focus();
+  };
+  for (const scope of RESETS) {
+    const text = scope.replace("all", "all, delete what was spawned"), act = `Reset ${scope}`;
+    make(menu, "button", {type: "button", role: "menuitem"}, text[0].toUpperCase() + text.slice(1))
+      .addEventListener("click", () => { open(false); send({type: "ZensimAct", act}); });
+  }
+  box.addEventListener("focusout", (event) => {
+    if (!menu.hidden && !box.contains(event.relatedTarget)) open(false);
+  });
+  box.addEventListener("keydown", (event) => {
+    if (menu.hidden || !["Escape", "ArrowDown", "ArrowUp"].includes(event.key)) return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (event.key === "Escape") { open(false); reset.focus(); return; }
+    const items = [...menu.children], step = event.key === "ArrowDown" ? 1 : -1;
+    const at = items.indexOf(document.activeElement) + step;
+    items[(at + items.length) % items.length].focus();
+  });
+  showHead(place);
+}
+
+function showHead(place) {
+  const play = place.querySelector(".zensim-play");
+  const status = document.querySelector(".zensim-status");
+  const act = status && status.dataset.state === "playing" ? "Pause" : "Play";
+  if (!play || play.act === act) return;
+  play.act = act;
+  play.querySelector("span").textContent = act;
+  play.querySelector("path").setAttribute("d", ICONS[act]);
+}
+
+// ---- List: only the rows within view exist.
+
+let entities = [], codes = "", speeds = [], selected = [], words = "", items = [], found = 0;
+
+// Called by the server: name, number of category, other words to search, and colour of each.
+window.zensimEntities = (list) => { entities = list; codes = ""; findItems(); };
+// Called by the server: status letter and speed [cm/s] of each.
+window.zensimStatuses = (letters, cmps) => {
+  [codes, speeds] = [letters, cmps];
+  if (words) findItems(); else showLists();
+};
+window.zensimMarks = (names) => { selected = names; showLists(); };
+
+function findItems() {
+  const wanted = words.toLowerCase().split(/\s+/).filter(Boolean);
+  const groups = CATEGORIES.map(() => []);
+  entities.forEach(([name, category, more], i) => {
+    const text = `${name} ${more} ${STATUSES[codes[i]] || ""}`.toLowerCase();
+    if (wanted.every((word) => text.includes(word))) groups[category].push(i);
+  });
+  found = groups.reduce((sum, group) => sum + group.length, 0);
+  const isMixed = groups.filter((group) => group.length).length > 1;
+  items = groups.flatMap((group, i) =>
+    group.length && isMixed ? [`${CATEGORIES[i]} (${group.length})`, ...group] : group);
+  showLists();
+}
+
+const places = (part) => document.querySelectorAll(`[data-zensim-part="${part}"]`);
+function showLists() { places("list").forEach(showList); }
+
+function fillList(place) {
+  const bar = make(place, "div", {class: "zensim-search"});
+  const field = make(bar, "input", {type: "text", "aria-label": "Search", autocomplete: "off",
+    placeholder: "Search name, model, status", spellcheck: "false"});
+  field.value = words;
+  field.addEventListener("input", () => { words = field.value; findItems(); });
+  makeButton(bar, "Show all", "All", () => send({type: "ZensimAct", act: "Show all"}),
+    {title: "Move the camera to show all"});
+  make(place, "div", {class: "zensim-count", role: "status"});
+  const view = make(place, "div", {class: "zensim-rows", role: "list", "aria-label": "Entities"});
+  make(view, "div", {class: "zensim-room"});
+  view.addEventListener("scroll", () => showList(place));
+  showList(place);
+}
+
+function showList(place) {
+  const view = place.querySelector(".zensim-rows"), room = view && view.firstElementChild;
+  if (!room) return;
+  const count = place.querySelector(".zensim-count");
+  const text = entities.length ? `${found} of ${entities.length}` : place.dataset.empty;
+  if (count.textContent !== text) count.textContent = text;
+  const rowPx = matchMedia("(max-width: 640px)").matches ? 46 : 32;
+  view.classList.toggle("is-short", selected.length > 0);
+  room.style.height = `${items.length * rowPx}px`;
+  const first = Math.max(0, Math.floor(view.scrollTop / rowPx) - SPARE_ROWS);
+  const shown = Math.ceil((view.clientHeight || 600) / rowPx) + 2 * SPARE_ROWS;
+  // The row of an item stays the same element while it is in view, so that it keeps the focus.
+  const rows = new Map();
+  for (const row of [...room.children]) {
+    const at = Number(row.dataset.at);
+    if (at < first || at >= Math.min(items.length, first + shown)) row.remove();
+    else rows.set(at, row);
+  }
+  for (let at = first; at < Math.min(items.length, first + shown); at++) {
+    const row = rows.get(at) || makeRow(room, at, rowPx);
+    showRow(row, items[at]);
+  }
+}
+
+function makeRow(room, at, rowPx) {
+  const row = make(null, "div", {role: "listitem", "data-at": at});
+  row.style.cssText = `top:${at * rowPx}px;height:${rowPx}px`;
+  const next = [...room.children].find((one) => Number(one.dataset.at) > at);
+  room.insertBefore(row, next || null);
+  return row;
+}
+
+function showRow(row, item) {
+  if (typeof item === "string") {
+    if (row.textContent !== item) { row.innerHTML = ""; make(row, "h3", {}, item); }
+    return;
+  }
+  const [name, , , colour] = entities[item], status = STATUSES[codes[item]] || "";
+  let button = row.querySelector("button");
+  if (!button) {
+    row.innerHTML = "";
+    button = make(row, "button", {type: "button"});
+    for (const kind of ["dot", "name", "speed"]) make(button, "span", {class: kind});
+    button.addEventListener("click", (event) => send(
+      {type: "ZensimSelect", entity: button.entity, is_added: event.shiftKey}));
+  }
+  button.entity = name;
+  const [dot, label, speed] = button.children;
+  const set = (element, key, value) => { if (element[key] !== value) element[key] = value; };
+  set(dot, "className", `dot is-${status.replace(" ", "-")}`);
+  set(label, "textContent", name);
+  set(speed, "textContent", status === "moving" ? `${(speeds[item] / 100).toFixed(2)} m/s` : status);
+  const title = `${name} · ${status}`;
+  if (button.getAttribute("aria-label") !== title) {
+    button.setAttribute("aria-label", title);
+    button.style.setProperty("--robot", colour || "transparent");
+  }
+  const isOn = String(selected.includes(name));
+  if (button.getAttribute("aria-pressed") !== isOn) button.setAttribute("aria-pressed", isOn);
+}
+
+// ---- Pad: its buttons are held as keys are.
+
+function fillPad(place) {
+  const pad = make(place, "div", {class: "zensim-pad", role: "group", "aria-label": "Drive"});
+  for (const [kind, code, label, key] of PAD) {
+    const title = `${label}: hold it, or ${key}`;
+    const button = makeButton(pad, label, kind, null, {"aria-label": label, title});
+    button.classList.add(`is-${kind}`);
+    const hold = (isDown) => {
+      if (button.classList.contains("is-held") === isDown) return;
+      button.classList.toggle("is-held", isDown);
+      zensimHold(code, isDown);
+    };
+    button.addEventListener("pointerdown", (event) => {
+      if (event.button) return;
+      button.setPointerCapture(event.pointerId);
+      hold(true);
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) {
+      button.addEventListener(end, () => hold(false));
+    }
+    button.addEventListener("keydown", (event) => { if (event.key === "Enter") hold(true); });
+    button.addEventListener("keyup", (event) => { if (event.key === "Enter") hold(false); });
+    button.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+  makeButton(pad, "Stop", "Stop", () => zensimStop(), {title: "Stop the robot: Space"})
+    .classList.add("is-stop");
+}
+
+// ---- Nodes of a visitor that stick to a robot: as it is drawn, not as it was sent.
+
+let stuck = [];
+// Called by the server: node, batch and instance of the robot, height above it (null = turns along).
+window.zensimStick = (list) => { stuck = list; };
+
+function findInstances(page, path) {
+  const node = page.nodeRefFromName[path];
+  let mesh = null;
+  if (node) node.traverse((one) => { if (!mesh && one.getMatrixAt) mesh = one; });
+  return mesh;
+}
+
+function stick() {
+  requestAnimationFrame(stick);
+  const page = window.__viserMutable;
+  if (!page || !page.camera || !stuck.length) return;
+  for (const [name, batch, number, lift] of stuck) {
+    const pose = page.nodePoseData[name], mesh = findInstances(page, batch);
+    if (!pose || !mesh || number >= mesh.instancesCount) continue;
+    const matrix = mesh.getMatrixAt(number), node = page.nodeRefFromName[name];
+    const position = page.camera.position.clone().setFromMatrixPosition(matrix);
+    const turn = page.camera.quaternion.clone().setFromRotationMatrix(matrix);
+    pose.position = [position.x, position.y, position.z + (lift || 0)];
+    if (lift === null) pose.wxyz = [turn.w, turn.x, turn.y, turn.z];
+    if (node && pose.poseUpdateState === "updated") pose.poseUpdateState = "needsUpdate";
+  }
+}
+
+// ---- Parts are filled when the panel shows them.
+
+const FILLERS = {head: fillHead, list: fillList, pad: fillPad};
+function refresh() {
+  for (const [part, fill] of Object.entries(FILLERS)) {
+    places(part).forEach((place) => { if (!place.firstChild) fill(place); });
+  }
+  places("head").forEach(showHead);
+}
+
+addEventListener("DOMContentLoaded", () => {
+  setInterval(refresh, REFRESH_MS);
+  addEventListener("resize", showLists);
+  stick();
+});
+})();
