@@ -251,6 +251,10 @@ def test_every_control_is_used_by_a_test(page: Page) -> None:
         eventually(are_drawn, WITHIN_S, "all charts")
     listed |= controls.list_of_tabs(*TABS)
     listed |= list_of_dialogs(page)
+    controls.click(a_button("", "Pause"))
+    controls.until_there(a_button("", "Play"))  # in its place
+    listed.add(a_button("", "Play"))
+    controls.click(a_button("", "Play"))
 
     found = {normalize(one) for one in listed}
     used = list_used()

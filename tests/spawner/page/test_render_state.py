@@ -153,6 +153,13 @@ def test_pose_is_formatted_in_metres_and_degrees() -> None:
     assert format_pose(state) == ("x 1.00  y -2.00  z 0.06 m  yaw 90°", "0.50 m/s  1.00 rad/s")
 
 
+def test_pose_and_speed_have_no_negative_zeros() -> None:
+    state = np.full(13, -0.001)
+    state[3:7] = (0.0, 0.0, -0.001, 1.0)
+
+    assert format_pose(state) == ("x 0.00  y 0.00  z 0.00 m  yaw 0°", "0.00 m/s  0.00 rad/s")
+
+
 def test_lights_of_links_move_with_them() -> None:
     lamp = Light("lamp", "spot", Origin((1.0, 0.0, 0.0)), direction=(1.0, 0.0, 0.0))
     model = Model("m", (Link("base", lights=(lamp,)),))
