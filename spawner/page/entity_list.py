@@ -97,7 +97,7 @@ def is_blocked(state: Array, command: LastCommand) -> bool:
     return not (reaches_speed if speed >= MOVING_MPS else abs(state[12]) >= BLOCKED_SHARE * turn)
 
 
-class ListedEntity(msgspec.Struct, frozen=True, array_like=True):
+class PageEntity(msgspec.Struct, frozen=True, array_like=True):
     """What the list of the page needs of an entity, but for what changes often."""
 
     name: str
@@ -106,13 +106,13 @@ class ListedEntity(msgspec.Struct, frozen=True, array_like=True):
     words: str
     """What a search finds beside the name: namespace and model."""
     colour: str
-    """Of a robot, as `#rrggbb`; empty without a drive."""
+    """Colour of a robot, `#rrggbb`; empty without a drive."""
 
 
-def list_entities(fleet: RenderedFleet) -> list[ListedEntity]:
+def list_entities(fleet: RenderedFleet) -> list[PageEntity]:
     """List all entities in the order of `RenderedFleet.names`."""
     return [
-        ListedEntity(
+        PageEntity(
             name,
             CATEGORIES.index(find_category(fleet, name)),
             f"{fleet.members[name].namespace} {fleet.model_of(name).name}",

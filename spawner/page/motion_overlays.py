@@ -26,7 +26,7 @@ JUMP_M: Final = 1.0
 MAX_ARROWS: Final = 200
 ARROW_PERIOD_S: Final = 0.1
 FEW_ARROWS: Final = 20
-"""So many arrows are drawn with each frame, so that they stay at their robots."""
+"""Number of arrows up to which each frame has them, so that they stay at their robots."""
 LEAST_ARROW_MPS: Final = 0.02
 ARROW_S: Final = 1.0
 """An arrow is as long as the way in this time."""

@@ -9,6 +9,10 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+HeadOrder = Literal[
+    "Play", "Pause", "Step", "Reset time and poses", "Reset poses", "Reset time", "Reset all"
+]
+"""What the buttons of the head order for all visitors."""
 
 
 class ZensimDrive(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
@@ -41,12 +45,6 @@ class ZensimModel(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fie
     """The visitor has pressed the picture of a model."""
 
     model: Annotated[str, msgspec.Meta(max_length=256)]
-
-
-HeadOrder = Literal[
-    "Play", "Pause", "Step", "Reset time and poses", "Reset poses", "Reset time", "Reset all"
-]
-"""What the buttons of the head order for all visitors."""
 
 
 class ZensimAct(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):

@@ -87,7 +87,7 @@ class StuckNode(msgspec.Struct, frozen=True, array_like=True):
     batch: str
     """Node of a part of the base of the entity."""
     number: int
-    """Of the entity in the batch."""
+    """Place of the entity in the batch."""
     lift_m: float | None
     """Height above the entity of a node that stands upright; None = it turns along."""
 
