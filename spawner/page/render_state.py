@@ -36,7 +36,7 @@ MAX_MODEL_LIGHTS: Final = 8
 MOVING_MPS: Final = 0.01
 MOVING_RADPS: Final = 0.02
 """Speeds from which an entity moves; engines leave slower residues."""
-WIDE_AZIMUTH_RAD: Final = np.radians(30.0)
+WIDE_AZIMUTH_RAD: Final = np.radians(28.0)
 """Angle of the view to the long side of the fleet: along it, so that the nearest are large."""
 NARROW_AZIMUTH_RAD: Final = np.radians(14.0)
 """The same where the image is higher than wide, as on a phone."""
@@ -51,11 +51,11 @@ FLAT_M: Final = 0.1
 """A lower static model is a floor, which may be much larger than what stands on it."""
 LEAST_VIEW_M: Final = 1.2
 """Least width of a view: a single robot has floor around it."""
-VIEW_MARGIN_M: Final = 0.15
+VIEW_MARGIN_M: Final = 0.4
 """Margin around each robot, which may drive."""
 LEAST_DISTANCE_M: Final = 0.7
 """Least distance of the nearest point along the axis of the camera."""
-FILLED_WIDTH, FILLED_HEIGHT = 0.86, 0.74
+FILLED_WIDTH, FILLED_HEIGHT = 0.92, 0.82
 """Shares of the image that the outermost points may span."""
 BISECTIONS: Final = 40
 PHONE_ASPECT: Final = 0.7
