@@ -168,7 +168,6 @@ STYLE: Final = """
   border-color: #b3261e; font-weight: 600; }
 /* The legend of a chart says what its lines are; time is along its lower edge. */
 .uplot .u-legend { margin: 0 !important; font-size: 11px !important; text-align: left; }
-.uplot .u-legend tr.u-series:first-child { display: none; }
 /* One letter spacing, one radius; numbers at the ends of sliders would lie over their thumbs. */
 label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !important; }
 .mantine-Button-root { border-radius: 6px; }

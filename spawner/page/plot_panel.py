@@ -31,6 +31,12 @@ PLOTTED_TOPICS: Final = frozenset(
     {"imu", "scan", "range", "joint_states", "vel", "altimeter", "magnetic_field", "air_pressure"}
 )
 CHART_HEIGHT_PX: Final = 150
+FROM_ZERO: Final = {"pad": 0.1, "soft": 0.0, "mode": 1}
+SCALES: Final[dict[str, uplot.Scale]] = {
+    "x": {"time": False},
+    "y": {"range": {"min": FROM_ZERO, "max": FROM_ZERO}},
+}
+"""Charts have zero in view: noise of a steady speed would fill them, with equal numbers beside it."""
 AXIS_COLOUR: Final = "#8b929c"
 """Visible on light and dark ground."""
 FILE_NAME: Final = "zensim_plot.csv"
@@ -185,7 +191,7 @@ class Chart:
                         for c, p in zip(columns, choose_pens(columns), strict=True)
                     ),
                 ),
-                scales={"x": {"time": False}},
+                scales=SCALES,
                 axes=({"stroke": AXIS_COLOUR}, {"stroke": AXIS_COLOUR}),
                 legend={"live": False},
                 height=CHART_HEIGHT_PX,
