@@ -36,7 +36,7 @@ SCALES: Final[dict[str, uplot.Scale]] = {
     "x": {"time": False},
     "y": {"range": {"min": FROM_ZERO, "max": FROM_ZERO}},
 }
-"""Charts have zero in view: noise of a steady speed would fill them, with equal numbers beside it."""
+"""Charts have zero in view: else the noise of a steady speed would fill them."""
 AXIS_COLOUR: Final = "#8b929c"
 """Visible on light and dark ground."""
 FILE_NAME: Final = "zensim_plot.csv"
