@@ -41,9 +41,9 @@ WIDE_AZIMUTH_RAD: Final = np.radians(28.0)
 NARROW_AZIMUTH_RAD: Final = np.radians(14.0)
 """The same where the image is higher than wide, as on a phone."""
 VIEW_ELEVATION_RAD: Final = np.radians(20.0)
-HIGH_ELEVATION_RAD: Final = np.radians(50.0)
+HIGH_ELEVATION_RAD: Final = np.radians(42.0)
 """Elevation of a view into a world, whose walls would hide what is behind them."""
-SURROUNDINGS_M: Final = 1.0
+SURROUNDINGS_M: Final = 2.5
 """What is shown around robots among walls."""
 TALL_M: Final = 0.2
 """A static model that rises higher above the lowest robot may hide robots."""

@@ -12,7 +12,7 @@ from zensim.spawner.page.robot_colours import to_linear
 from zensim.spawner.page.sensor_views import Picture, SensedFrame, SensorChoice, SensorView
 
 SCAN_COLOUR: Final = (255, 96, 64)
-SCAN_POINT_M: Final = 0.04
+SCAN_POINT_M: Final = 0.025
 """Size of the points of scans."""
 
 

@@ -66,14 +66,12 @@ def make_status_html(status: SimulationStatus) -> str:
     """Format state, simulation time, real-time factor beside the wanted one, and robots."""
     colour = STATE_COLOURS.get(status.state, "var(--zensim-red)")
     state = f'<span style="color:{colour}">&#9679;</span> {to_html(status.state)}'
-    others = status.entities - status.robots
-    robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
     malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
     cells = [
         ("State", state),
         ("Time", format_clock(status.sim_time_s)),
         ("Real-time factor", _write_factor(status)),
-        ("Robots", robots),
+        ("Robots", f"{status.robots}"),
         *malformed,
     ]
     written = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for label, value in cells)

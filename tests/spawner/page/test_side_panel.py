@@ -68,10 +68,6 @@ def test_status_warns_of_a_real_time_factor_below_the_wanted_one(
     assert (AMBER in value) is is_amber
 
 
-def test_status_counts_entities_without_drive() -> None:
-    assert "10 + 2 without drive" in make_status_html(SimulationStatus(robots=10, entities=12))
-
-
 def test_robot_shows_pose_and_last_command() -> None:
     html = make_robot_html(EntityModel("r1", "team/r1", 0), REST, LastCommand(0.2, -0.5, age_s=0.1))
 
