@@ -9,7 +9,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -26,6 +26,8 @@ SHORT_BUILD_S = 900.0
 KEY_DIGITS = 16
 PROFILE = {"CARGO_PROFILE_RELEASE_OPT_LEVEL": "0", "CARGO_PROFILE_RELEASE_DEBUG": "0"}
 """Builds zenohd in a third of the time; the peers name the same in their Cargo.toml."""
+
+NO_MORE: Mapping[str, str] = {}
 
 
 class PeersMissing(Exception):
@@ -69,8 +71,8 @@ def build_peers(distro: str, *, within_s: float = BUILD_S) -> Path:
         shutil.rmtree(package, ignore_errors=True)
         write_package(package)
         build = (cargo, "build", "--release", *features, "--target-dir", str(target))
-        _run(build, package, within_s)
-        _keep(target / "release" / BINARY, built)
+        run_build(build, package, within_s)
+        keep_program(target / "release" / BINARY, built)
     return built
 
 
@@ -113,8 +115,8 @@ def build_router(*, within_s: float = BUILD_S) -> Path:
             "--force",
         )
         places = ("--root", str(folder / "zenohd"), "--target-dir", str(target))
-        _run((cargo, *wanted, *places), folder, within_s)
-        _keep(folder / "zenohd" / "bin" / "zenohd", built)
+        run_build((cargo, *wanted, *places), folder, within_s)
+        keep_program(folder / "zenohd" / "bin" / "zenohd", built)
     return built
 
 
@@ -137,8 +139,10 @@ def key_of(folder: Path) -> str:
     return whole.hexdigest()[:KEY_DIGITS]
 
 
-def _run(command: Sequence[str], folder: Path, within_s: float) -> None:
-    """Run cargo.
+def run_build(
+    command: Sequence[str], folder: Path, within_s: float, variables: Mapping[str, str] = NO_MORE
+) -> None:
+    """Run cargo, or another program that builds.
 
     Raises:
         PeersMissing: It fails, or takes too long.
@@ -146,7 +150,7 @@ def _run(command: Sequence[str], folder: Path, within_s: float) -> None:
     try:
         done = subprocess.run(
             ["nice", *command],
-            env={**os.environ, **PROFILE},
+            env={**os.environ, **PROFILE, **variables},
             cwd=folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -160,10 +164,12 @@ def _run(command: Sequence[str], folder: Path, within_s: float) -> None:
         raise PeersMissing(f"{what} after {within_s:g} s; the next run goes on") from error
     if done.returncode:
         errors = [line for line in done.stderr.splitlines() if line.startswith("error")]
-        raise PeersMissing(f"cargo fails: {'; '.join(errors) or done.stderr[-500:]}")
+        raise PeersMissing(
+            f"{Path(command[0]).name} fails: {'; '.join(errors) or done.stderr[-500:]}"
+        )
 
 
-def _keep(made: Path, built: Path) -> None:
+def keep_program(made: Path, built: Path) -> None:
     """Move a program to its place in one step, because others may look for it."""
     partial = built.with_name(f"{built.name}.{os.getpid()}")
     shutil.copy2(made, partial)
