@@ -68,6 +68,13 @@ fi
 # A daemon that runs has the settings of the shell that started it.
 ros2 daemon stop >/dev/null 2>&1
 
+# Versions, for reports: of a package that is not installed there is none.
+for package in ros2cli rclpy rmw_zenoh_cpp tf2 simulation_interfaces; do
+  printf 'note  %s %s, %s\n' "$package" \
+    "$(timeout "$LIMIT_S" ros2 pkg xml "$package" --tag version 2>/dev/null || echo missing)" \
+    "${ROS_DISTRO:-unknown distribution}"
+done
+
 has_interface() {
   ros2 interface show "$1" >/dev/null 2>&1
 }
@@ -114,6 +121,21 @@ check 'the description arrives late' 'robot' \
   ros2 topic echo --once --qos-durability transient_local --qos-reliability reliable \
   "/$ROBOT/robot_description"
 
+# Two nodes of ROS 2, which see each other through the simulator's router.
+timeout "$LIMIT_S" ros2 topic pub --rate 5 /zensim_check std_msgs/msg/String '{data: heard}' \
+  >/dev/null 2>&1 &
+talker=$!
+check 'two nodes hear each other' 'data: heard' \
+  ros2 topic echo --once /zensim_check std_msgs/msg/String
+kill "$talker" 2>/dev/null
+wait "$talker" 2>/dev/null
+if ros2 pkg prefix tf2_ros >/dev/null 2>&1; then
+  # It does not end by itself.
+  output="$(timeout 10 ros2 run tf2_ros tf2_echo world "$ROBOT/odom" 2>&1)"
+  grep -q 'Translation:' <<<"$output"
+  report $? 'tf2 finds the frame of the robot' "no transform from world to $ROBOT/odom in 10 s"
+fi
+
 # Commands.
 before="$(read_position)"
 check 'Twist is published' 'publishing' \
@@ -145,6 +167,35 @@ else
   printf 'note  simulation_interfaces is not installed: its services were not called\n'
 fi
 check 'physics goes on' 'response' ros2 service call /unpause_physics std_srvs/srv/Empty
+
+# spawn_ten and delete_ten: what a launch file for ten robots does, one call each.
+spawn_ten() {
+  local number source='uri: box_bot'
+  # The field has another name since simulation_interfaces 2.
+  if ros2 interface show simulation_interfaces/srv/SpawnEntity | grep -q entity_resource; then
+    source='entity_resource: {uri: box_bot}'
+  fi
+  for number in 0 1 2 3 4 5 6 7 8 9; do
+    timeout "$LIMIT_S" ros2 service call /spawn_entity simulation_interfaces/srv/SpawnEntity \
+      "{name: check_bot$number, $source, entity_namespace: check_bot$number,
+        initial_pose: {pose: {position: {x: $number.0, y: 50.0}}}}" |
+      grep -q 'result=1[,)]' || return
+  done
+}
+delete_ten() {
+  local number
+  for number in 0 1 2 3 4 5 6 7 8 9; do
+    timeout "$LIMIT_S" ros2 service call /delete_entity simulation_interfaces/srv/DeleteEntity \
+      "{entity: check_bot$number}" | grep -q 'result=1[,)]' || return
+  done
+}
+if has_interface simulation_interfaces/srv/SpawnEntity; then
+  spawn_ten
+  report $? 'ten robots are spawned' 'a call of /spawn_entity was refused or got no reply'
+  check 'the last one is driven' 'child_frame_id:' ros2 topic echo --once /check_bot9/odom
+  delete_ten
+  report $? 'ten robots are deleted' 'a call of /delete_entity was refused or got no reply'
+fi
 
 printf '%s passed, %s failed\n' "$passed" "$failed"
 [ "$failed" -eq 0 ]

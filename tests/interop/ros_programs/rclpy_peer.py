@@ -138,6 +138,7 @@ def drive(seconds: float, robots: list[str], kind: type) -> dict:
     if not is_ready():
         return {
             "ways_m": [],
+            "seconds": [],
             "unmatched": [r for r, one in zip(robots, drivers, strict=True) if not one.place],
         }
     begin = [(one.place, one.stamp_s) for one in drivers]
