@@ -42,6 +42,7 @@ NAMES = (
     "killed",
     "recreate",
     "scale",
+    "nav2",
     "rclpy",
 )
 SHORT_NAMES = ("talk", "odom", "drive", "spawn", "rclpy")
