@@ -83,7 +83,8 @@ def test_module_imports_only_what_its_extra_declares() -> None:
     sources = [
         path
         for path in files()
-        if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in {*PACKAGES, "tests"}
+        if path.suffix == ".py"
+        and path.relative_to(ROOT).parts[0] in {*PACKAGES, "tests"}
         # Scripts of another interpreter, which has rclpy.
         and not shown(path).startswith("tests/interop/ros_programs/")
     ]
