@@ -607,8 +607,9 @@ class ServerLoop:
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         late_ns = max(0, now_ns - self._deadline_ns)
-        spare_ns = self._wall_step_ns - late_ns - took_ns
-        self._budget.begin_step(max(took_ns, self._wall_step_ns), late_ns, spare_ns)
+        wall_step_ns = self._wall_step_ns
+        spare_ns = wall_step_ns - late_ns - took_ns
+        self._budget.begin_step(max(took_ns, wall_step_ns), late_ns, spare_ns)
         self._loop_stats.note_step(
             simulated_ns=self._world.clock.step_ns,
             took_ns=took_ns,

@@ -101,7 +101,8 @@ class RequestBudget:
         self._spare_ns = round(spare_ns * SPARE_SHARE)
         self._used_ns = self._begun_ns = 0
         # What nobody else needs pays debts, too: a large spawn uses an idle loop.
-        self._used_by_ns = _pay(self._used_by_ns, max(self._budget_ns, self._spare_ns))
+        if self._used_by_ns:
+            self._used_by_ns = _pay(self._used_by_ns, max(self._budget_ns, self._spare_ns))
 
     def begin_slice(self) -> None:
         """Start a budget without debts: no step waits for requests."""

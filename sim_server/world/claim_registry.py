@@ -246,10 +246,12 @@ class ClaimRegistry:
         """Whether an agent wants the efforts of joints, by its last command."""
         return agent in self._wanting_efforts
 
-    def take_targets(self) -> Iterator[tuple[str, FloatArray]]:
+    def take_targets(self) -> Mapping[str, FloatArray]:
         """Take the targets of each agent for the next step."""
-        targets, self._targets = self._targets, {}
-        yield from targets.items()
+        targets = self._targets
+        if targets:
+            self._targets = {}
+        return targets
 
     def note_silent(self, agent: str) -> None:
         """Note that an agent has sent no command for too long; its last targets are dropped."""

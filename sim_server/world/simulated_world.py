@@ -624,7 +624,7 @@ class SimulatedWorld:
         """Advance by one step: faults that are over, commands, then physics."""
         if len(self.injected_faults) and self.is_control_step:
             self.injected_faults.end_due(self.clock.time_ns, self._replace_moving)
-        for agent, targets in self.claims.take_targets():
+        for agent, targets in self.claims.take_targets().items():
             if (claimed := self.claimed_by_agent().get(agent)) is not None:
                 self.engine.command(claimed.bodies, targets)
                 for name, own in claimed.joint_targets:
