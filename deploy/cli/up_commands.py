@@ -90,7 +90,7 @@ app = make_app()
 console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], "UpDriver"]
 MAX_AGENT_PROCESSES = 20
-"""Default limit of one agent process per robot; each takes 40 MB."""
+"""Default limit of one agent process per robot; each takes 11 MB."""
 
 _agents = partial(typer.Option, rich_help_panel="Agents")
 _viewer = partial(typer.Option, rich_help_panel="Viewer")

@@ -178,7 +178,7 @@ class DemandedPrograms:
 class DemandLaunch:
     """Starts sensor processes and the pool of robots of others when the world has some for them.
 
-    An idle sensor process takes 23 MB (proportional set size), a pool 36 MB, and most worlds need
+    An idle sensor process takes 23 MB (proportional set size), a pool 28 MB, and most worlds need
     neither.
     """
 
