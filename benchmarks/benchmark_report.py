@@ -29,6 +29,7 @@ NAMES = (
     "fleet_10000",
     "everything",
     "world",
+    "vda5050",
     "envs",
     "world_loading",
     "sensors",

@@ -108,9 +108,13 @@ class Master:
             last = json.dumps(self.list(robot, topic)[-1:])
             raise AssertionError(f"no such {topic}; the last is {last}") from None
 
+    def add(self, robot: str, topic: str, message: State) -> None:
+        """Keep a message; called in the thread of the client."""
+        self.messages.append((robot, topic, message))
+
     def _keep(self, _client: object, _userdata: object, message: MQTTMessage) -> None:
         name, topic = message.topic.rsplit("/", 2)[1:]
         try:
-            self.messages.append((name, topic, json.loads(message.payload)))
+            self.add(name, topic, json.loads(message.payload))
         except (ValueError, RecursionError):  # sent by the test itself
             return

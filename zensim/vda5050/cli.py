@@ -22,7 +22,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
-from zensim.proto.process_limits import raise_file_limit, raise_niceness
+from zensim.proto.process_limits import raise_file_limit
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import configure_logging, print_note
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 app = make_app()
 
-NICENESS = 5
-"""A third of the share of others, as other programs beside the simulation have it."""
 EXTRA = "paho"
 INTERFACES = {"2.0": "uagv", "2.1": "uagv", "3.0": "vda5050"}
 """First level of topics by version, as the standard's examples have it."""
@@ -136,7 +134,6 @@ def _serve(given: VdaOptions) -> None:
     stop = StopFlag(is_armed=False)
     settings = read_settings(given.vehicles) if given.vehicles else FleetSettings()
     address, interface = _read_broker(given), given.interface or INTERFACES[given.standard]
-    raise_niceness(NICENESS)
     # A vehicle is a connection.
     raise_file_limit()
     options = ServedFleet(
