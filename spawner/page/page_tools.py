@@ -192,7 +192,7 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
     max-height: 48% !important; border-radius: 12px 12px 0 0; }
   .mantine-Paper-root[style*="position: fixed"][style*="bottom: 0"] [style*="width: 20em"] {
     width: 100% !important; }
-  .mantine-Tabs-list { flex-wrap: nowrap !important; }
+  .mantine-Tabs-list { flex-wrap: nowrap !important; padding-inline-end: 10px; }
   .mantine-Tabs-tab { flex: 1 1 auto; padding: 0 4px !important; }
   [data-zensim-part] :is(button, input) { min-height: 44px; }
   .zensim-rows, .zensim-rows.is-short { max-height: 40vh; }
