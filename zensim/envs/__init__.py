@@ -10,25 +10,32 @@ if TYPE_CHECKING:
     from zensim.envs.env_settings import EnvKeywords, EnvSettings
     from zensim.envs.fleet_env import ZensimParallelEnv, parallel_env
     from zensim.envs.formation_task import FollowFormation
+    from zensim.envs.navigation_task import DeliverGoods, NavigateMaze
     from zensim.envs.reaching_task import ReachGoal
     from zensim.envs.robot_env import ZensimEnv
     from zensim.envs.robot_task import RobotTask
     from zensim.envs.vector_env import ZensimVectorEnv
+    from zensim.envs.world_streams import WorldStreams
 
 __all__ = [
     "AvoidEachOther",
     "Batch",
+    "DeliverGoods",
     "EnvKeywords",
     "EnvSettings",
     "FollowFormation",
+    "NavigateMaze",
     "ReachGoal",
     "RobotTask",
+    "WorldStreams",
     "ZensimEnv",
     "ZensimParallelEnv",
     "ZensimVectorEnv",
     "parallel_env",
 ]
 MODULES = {
+    "world_streams": ("WorldStreams",),
+    "navigation_task": ("DeliverGoods", "NavigateMaze"),
     "avoidance_task": ("AvoidEachOther",),
     "batch": ("Batch",),
     "env_settings": ("EnvKeywords", "EnvSettings"),

@@ -5,6 +5,7 @@ import numpy as np
 from zensim.envs.robot_task import (
     FAR_M,
     FAST,
+    NEIGHBOURS,
     FleetView,
     FloatArray,
     GoalProgress,
@@ -12,14 +13,12 @@ from zensim.envs.robot_task import (
     Judgement,
     RobotTask,
     find_in_robot,
-    turn_into_robot,
+    find_neighbours,
 )
 from zensim.envs.world_streams import WorldStreams
 
 SUCCESS, COLLISION, STEP = 1.0, -2.0, -0.01
 """Rewards."""
-NEIGHBOURS = 3
-NEIGHBOUR_NUMBERS = 4
 
 
 class AvoidEachOther(RobotTask):
@@ -54,7 +53,7 @@ class AvoidEachOther(RobotTask):
     def observe(self, view: FleetView) -> FloatArray:
         """See `RobotTask`."""
         goals = find_in_robot(view.poses, self._progress.goals)
-        near = _find_neighbours(view)
+        near = find_neighbours(view)
         return np.concatenate([goals, view.velocities, near], axis=-1)
 
     def judge(self, view: FleetView) -> Judgement:
@@ -62,24 +61,3 @@ class AvoidEachOther(RobotTask):
         nearer, is_there = self._progress.advance(view.poses)
         rewards = nearer + STEP + SUCCESS * is_there + COLLISION * view.is_touching
         return Judgement(rewards, is_there & ~view.is_touching, view.is_touching)
-
-
-def _find_neighbours(view: FleetView) -> FloatArray:
-    """Find the nearest robots as each sees them, (worlds, robots, 12)."""
-    worlds, robots = view.poses.shape[:2]
-    heading = view.poses[..., 2]
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * view.velocities[..., :1]
-    places = view.poses[..., :2]
-    away = places[:, None] - places[:, :, None]
-    distances = np.hypot(away[..., 0], away[..., 1])
-    distances[:, np.arange(robots), np.arange(robots)] = np.inf
-    count = min(NEIGHBOURS, robots - 1)
-    nearest = np.argsort(distances, axis=2, kind="stable")[:, :, :count]
-    found = np.zeros((worlds, robots, NEIGHBOURS, NEIGHBOUR_NUMBERS))
-    found[..., 0] = FAR_M
-    own = np.broadcast_to(heading[..., None], nearest.shape)
-    vectors = np.take_along_axis(away, nearest[..., None], axis=2)
-    moving = np.take_along_axis(np.broadcast_to(ahead[:, None], away.shape), nearest[..., None], 2)
-    found[:, :, :count, :2] = turn_into_robot(own, vectors)
-    found[:, :, :count, 2:] = turn_into_robot(own, moving)
-    return found.reshape(worlds, robots, -1)

@@ -8,29 +8,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 import msgspec
+import numpy as np
 
 from zensim.api.api_errors import Invalid
 from zensim.api.argument_checks import check_range
-from zensim.api.in_process_world import World
+from zensim.api.in_process_world import World, get_server
 from zensim.api.spawning import check_keywords
 from zensim.envs.avoidance_task import AvoidEachOther
 from zensim.envs.batch import Batch
 from zensim.envs.batch_sensors import SensorName
 from zensim.envs.formation_task import FollowFormation
+from zensim.envs.navigation_task import DeliverGoods, NavigateMaze
 from zensim.envs.reaching_task import ReachGoal
-from zensim.envs.robot_task import RobotTask
+from zensim.envs.robot_task import RobotTask, WorldStart
+from zensim.proto.messages.world_messages import GetMapRequest
 from zensim.proto.process_limits import count_usable_cores
 from zensim.proto.settings.pace_settings import PaceKeywords, list_equal_rates
+from zensim.spawner.client.service_client import ServiceClient
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from zensim.proto.messages.model_messages import Dynamics
 
 TASKS: dict[str, type[RobotTask]] = {
     "reach": ReachGoal,
     "avoid": AvoidEachOther,
     "formation": FollowFormation,
+    "navigate": NavigateMaze,
+    "deliver": DeliverGoods,
 }
 KINDS_OF_DYNAMICS = ("", "kinematic", "full")
 RATE_TOLERANCE = 1e-6
@@ -82,15 +86,20 @@ class EnvSettings(msgspec.Struct, frozen=True, kw_only=True):
     threads: int = 0
 
 
-def make_settings(given: Mapping[str, object]) -> EnvSettings:
+def make_settings(given: Mapping[str, object], task: RobotTask, count: int = 1) -> EnvSettings:
     """Make settings from keyword arguments.
+
+    Args:
+        given: See `EnvKeywords`.
+        task: With settings that count where none are given.
+        count: Robots of a world, where neither says so.
 
     Raises:
         TypeError: A keyword is unknown.
         Invalid: A number is out of range.
     """
     check_keywords(given, EnvKeywords)
-    settings = EnvSettings(**given)  # type: ignore[arg-type]
+    settings = EnvSettings(**{"count": count, **task.settings, **given})  # type: ignore[arg-type]
     if settings.dynamics not in KINDS_OF_DYNAMICS:
         raise Invalid(f"`dynamics` '{settings.dynamics}' is unknown", hint="use kinematic or full")
     for name, least, most in (
@@ -118,18 +127,29 @@ def find_task(task: str | RobotTask) -> RobotTask:
     return TASKS[task]()
 
 
-def make_batch(settings: EnvSettings, worlds: int, dynamics: Dynamics) -> Batch:
+def make_world_start(world: World) -> WorldStart:
+    """Make what a task may need of a world before it is copied."""
+    server = get_server(world)
+    client = ServiceClient(server.network, server.world.name)
+    return WorldStart(
+        np.array([robot.pose[:2] for robot in world.robots.values()]).reshape(-1, 2),
+        lambda resolution_m: client.map(GetMapRequest(resolution_m=resolution_m)),
+    )
+
+
+def make_batch(settings: EnvSettings, worlds: int, task: RobotTask) -> Batch:
     """Make the worlds; raises what `World`, `spawn_fleet` and `Batch` raise.
 
     Args:
         settings: See `EnvKeywords`.
         worlds: Their number.
-        dynamics: Of the task.
+        task: That is prepared with a world.
     """
     threads = settings.threads or min(count_usable_cores(), worlds)
     if isinstance(settings.world, World):
+        task.prepare(make_world_start(settings.world))
         return Batch(settings.world, worlds, threads=threads, sensors=settings.sensors)
-    dynamics, rates = settings.dynamics or dynamics, PaceKeywords()
+    dynamics, rates = settings.dynamics or task.dynamics, PaceKeywords()
     if dynamics == "kinematic":
         # Arcs are exact: one integration for each step of the environment.
         hz = settings.rate_hz * max(1, ceil(MIN_KINEMATIC_HZ / settings.rate_hz))
@@ -138,6 +158,7 @@ def make_batch(settings: EnvSettings, worlds: int, dynamics: Dynamics) -> Batch:
         world.spawn_fleet(
             settings.model, count=settings.count, spacing=settings.spacing, dynamics=dynamics
         )
+        task.prepare(make_world_start(world))
         return Batch(world, worlds, threads=threads, sensors=settings.sensors)
 
 

@@ -52,7 +52,7 @@ class Episodes:
         Raises:
             Invalid: The task needs more robots, or the rate does not fit.
         """
-        self.batch = make_batch(settings, worlds, task.dynamics)
+        self.batch = make_batch(settings, worlds, task)
         self._task, self._settings = task, settings
         robots = self.batch.shape[1]
         if robots < task.least_robots:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from zensim.envs.batch import Batch
     from zensim.envs.env_settings import EnvKeywords
 
+USUAL_COUNT = 4
 Infos = dict[str, dict[str, Any]]
 Actions = npt.NDArray[np.float32]
 
@@ -25,8 +26,7 @@ Actions = npt.NDArray[np.float32]
 def parallel_env(
     task: str | RobotTask = "avoid", **options: "Unpack[EnvKeywords]"
 ) -> "ZensimParallelEnv":
-    """Make a world whose robots are agents; four robots unless `count` is given."""
-    options.setdefault("count", 4)
+    """Make a world whose robots are agents; four unless `count` or the task says otherwise."""
     return ZensimParallelEnv(task, **options)
 
 
@@ -49,7 +49,8 @@ class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):  # type: ignor
             Invalid: A setting is not valid.
             Unsupported: See `Batch`.
         """
-        self._episodes = Episodes(find_task(task), make_settings(options), 1)
+        own = find_task(task)
+        self._episodes = Episodes(own, make_settings(options, own, USUAL_COUNT), 1)
         self.possible_agents = list(self._episodes.names)
         self.agents: list[str] = []
         self._spaces = {name: make_spaces(self._episodes, ()) for name in self.possible_agents}

@@ -10,7 +10,11 @@ MANY = "zensim.envs.vector_env:ZensimVectorEnv"
 
 def register_ids() -> None:
     """Register the tasks."""
-    gymnasium.register("zensim/Reach-v0", ONE, vector_entry_point=MANY, kwargs={"task": "reach"})
+    for name, task in (("Reach", "reach"), ("Navigate", "navigate")):
+        given: dict[str, object] = {"task": task}
+        gymnasium.register(f"zensim/{name}-v0", ONE, vector_entry_point=MANY, kwargs=given)
     for name, task in (("Avoid", "avoid"), ("Formation", "formation")):
         given = {"task": task, "count": ROBOTS}
         gymnasium.register(f"zensim/{name}-v0", vector_entry_point=MANY, kwargs=given)
+    given = {"task": "deliver"}
+    gymnasium.register("zensim/Deliver-v0", vector_entry_point=MANY, kwargs=given)

@@ -35,7 +35,8 @@ class ZensimEnv(gymnasium.Env[Observations, npt.NDArray[np.float32]]):
             Invalid: A setting is not valid, or several robots learn.
             Unsupported: See `Batch`.
         """
-        self._episodes = Episodes(find_task(task), make_settings(options), 1)
+        own = find_task(task)
+        self._episodes = Episodes(own, make_settings(options, own), 1)
         if len(self._episodes.names) != 1:
             raise Invalid(
                 f"{len(self._episodes.names)} robots learn",

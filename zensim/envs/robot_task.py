@@ -1,13 +1,16 @@
 """RobotTask: what robots are to do: goals, observations, rewards and ends, in arrays."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from zensim.envs.world_streams import WorldStreams
 from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.messages.standard_messages import OccupancyGrid
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -16,6 +19,8 @@ FAR_M = 20.0
 """Limit of distances in observations."""
 FAST = 10.0
 """Limit of velocities in observations [m/s, rad/s]."""
+NEIGHBOURS = 3
+NEIGHBOUR_NUMBERS = 4
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,19 @@ class Judgement:
     is_failure: BoolArray
 
 
+@dataclass(frozen=True)
+class WorldStart:
+    """A world with its robots, before it is copied.
+
+    Attributes:
+        places: Of the robots, x, y [m], (robots, 2).
+        draw_map: Draws the map of what is fixed, with cells of this size [m].
+    """
+
+    places: FloatArray
+    draw_map: Callable[[float], OccupancyGrid]
+
+
 class RobotTask(ABC):
     """A task of the robots of many equal worlds."""
 
@@ -58,10 +76,15 @@ class RobotTask(ABC):
     """Least number of robots in a world."""
     dynamics: Dynamics = "kinematic"
     """Dynamics of the robots, unless a setting says otherwise; `full` where something is pushed."""
+    settings: Mapping[str, object] = MappingProxyType({})
+    """Settings of its worlds, where none are given; see `EnvKeywords`."""
 
     def choose_agents(self, robots: int) -> IntArray:
         """Choose which of the robots (robots,) of a world learn; others are driven by the task."""
         return np.arange(robots)
+
+    def prepare(self, start: WorldStart) -> None:  # noqa: B027 - most tasks need nothing
+        """Take what the task needs of the world, with its robots, before it is copied."""
 
     @abstractmethod
     def list_bounds(self, robots: int) -> FloatArray:
@@ -129,3 +152,27 @@ class GoalProgress:
         """Find how far [m] each robot came, (worlds, robots), and whether it is at its goal."""
         before, self._distances = self._distances, find_distances(poses, self.goals)
         return before - self._distances, self._distances <= self._tolerance_m
+
+
+def find_neighbours(view: FleetView) -> FloatArray:
+    """Find the nearest robots as each sees them, (worlds, robots, 12).
+
+    Numbers of a neighbour: position x, y [m] and velocity x, y [m/s] in the frame of the robot.
+    """
+    worlds, robots = view.poses.shape[:2]
+    heading = view.poses[..., 2]
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * view.velocities[..., :1]
+    places = view.poses[..., :2]
+    away = places[:, None] - places[:, :, None]
+    distances = np.hypot(away[..., 0], away[..., 1])
+    distances[:, np.arange(robots), np.arange(robots)] = np.inf
+    count = min(NEIGHBOURS, robots - 1)
+    nearest = np.argsort(distances, axis=2, kind="stable")[:, :, :count]
+    found = np.zeros((worlds, robots, NEIGHBOURS, NEIGHBOUR_NUMBERS))
+    found[..., 0] = FAR_M
+    own = np.broadcast_to(heading[..., None], nearest.shape)
+    vectors = np.take_along_axis(away, nearest[..., None], axis=2)
+    moving = np.take_along_axis(np.broadcast_to(ahead[:, None], away.shape), nearest[..., None], 2)
+    found[:, :, :count, :2] = turn_into_robot(own, vectors)
+    found[:, :, :count, 2:] = turn_into_robot(own, moving)
+    return found.reshape(worlds, robots, -1)

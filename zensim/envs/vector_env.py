@@ -55,7 +55,8 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
 
         Args:
             num_envs: Number of worlds, 1 to 65536.
-            task: `reach`, `avoid`, `formation`, or one of your own, which is copied.
+            task: `reach`, `avoid`, `formation`, `navigate`, `deliver`, or one of your
+                own, which is copied.
             autoreset_mode: NEXT_STEP: the step after the end of an episode restarts its world and
                 ignores its action. DISABLED: `reset(options={"reset_mask": mask})` does.
             options: See `EnvKeywords`.
@@ -68,7 +69,8 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
         if autoreset_mode not in MODES:
             names = " or ".join(mode.name for mode in MODES)
             raise Invalid(f"autoreset mode {autoreset_mode}", hint=f"use {names}")
-        self._episodes = Episodes(find_task(task), make_settings(options), num_envs)
+        own = find_task(task)
+        self._episodes = Episodes(own, make_settings(options, own), num_envs)
         self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
         self.num_envs = num_envs
         shape = (len(self._episodes.names),)
