@@ -18,6 +18,7 @@ import psutil
 from typer.testing import CliRunner
 
 from tests.contract.repository import ROOT
+from tests.integration.fork_server import run_program, start_program
 from zensim.deploy.cli import build
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, NoServer
@@ -30,6 +31,9 @@ POLL_S, MAX_POLL_S = 0.005, 0.05
 """First and last pause between calls: each costs the server what its start could use."""
 POLL_SHARE = 0.1
 """Of the time waited until now."""
+FORKED = ("agent", "sensors", "serve")
+"""Programs that tests fork; benchmarks and others start them."""
+TESTS_VARIABLE = "PYTEST_VERSION"
 SHORT = ("delete", "fleet", "list", "play", "spawn")
 START_S = 120.0
 END_S = 60.0
@@ -84,6 +88,8 @@ def zensim(
     *arguments: str, timeout_s: float = START_S, prefix: Sequence[str] = ()
 ) -> "subprocess.CompletedProcess[str]":
     """Run a command and wait for its exit."""
+    if not prefix and TESTS_VARIABLE in os.environ:
+        return run_program(arguments, timeout_s)
     return subprocess.run(
         command_line(arguments, prefix),
         capture_output=True,
@@ -112,10 +118,10 @@ def without_libraries(folder: Path, *libraries: str) -> tuple[str, ...]:
     return ("env", f"PYTHONPATH={path}")
 
 
-@contextmanager
-def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess.Popen[str]"]:
-    """Run a command in the background; end it and its descendants afterwards."""
-    process = subprocess.Popen(
+def _start(arguments: Sequence[str], prefix: Sequence[str]) -> "subprocess.Popen[str]":
+    if not prefix and arguments[0] in FORKED and TESTS_VARIABLE in os.environ:
+        return start_program(arguments)
+    return subprocess.Popen(
         command_line(arguments, prefix),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -124,6 +130,12 @@ def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess
         start_new_session=True,
         env={**os.environ, PARENT_PID_VARIABLE: str(os.getpid())},
     )
+
+
+@contextmanager
+def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess.Popen[str]"]:
+    """Run a command in the background; end it and its descendants afterwards."""
+    process = _start(arguments, prefix)
     try:
         yield process
     finally:
