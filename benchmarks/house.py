@@ -65,7 +65,7 @@ CEILINGS: Final[Mapping[str, int]] = {
     "source lines": 146_000,  # ADRs 153 and 154
     "longest import chain": 34,
     "modules with three seams": 32,
-    "classes of networks": 35,
+    "classes of networks": 34,
     "classes with six verbs of engines": 13,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine
     "files of a tick": 80,  # 67 to 77, likewise
