@@ -124,7 +124,7 @@ function showLists() { places("list").forEach(showList); }
 function fillList(place) {
   const bar = make(place, "div", {class: "zensim-search"});
   const field = make(bar, "input", {type: "text", "aria-label": "Search", autocomplete: "off",
-    placeholder: "Search name, model, status", spellcheck: "false"});
+    placeholder: "Name, model or status", spellcheck: "false"});
   field.value = words;
   field.addEventListener("input", () => { words = field.value; findItems(); });
   makeButton(bar, "Show all", "All", () => send({type: "ZensimAct", act: "Show all"}),
