@@ -59,7 +59,9 @@ ros_gz_interfaces are generated from zensim's structs, all others are those that
 section.
 """
 WITH_ROS = "rclpy"
-"""Section that needs rclpy and the bridge instead of the peers in Rust."""
+"""Section that needs rclpy and the bridge."""
+WITHOUT_RUST = frozenset({"nav2", WITH_ROS})
+"""Sections that need no peers in Rust."""
 
 
 def measure(name: str, *, is_short: bool) -> Section:
@@ -91,7 +93,7 @@ def build(names: Sequence[str], *, is_short: bool) -> None:
     within_s = SHORT_BUILD_S if is_short else BUILD_S
     if WITH_ROS in names:
         build_ros(within_s=within_s)
-    if list(names) == [WITH_ROS]:
+    if names and WITHOUT_RUST.issuperset(names):
         return
     build_peers(JAZZY, within_s=within_s)
     if is_short:
