@@ -1,6 +1,7 @@
 """An order and how far a vehicle is with it: acceptance, updates, actions, cancellation; pure."""
 
 from collections.abc import Callable, Iterable, Mapping
+from hashlib import sha256
 from typing import Final, Literal, TypeAlias
 
 import msgspec
@@ -41,7 +42,7 @@ class OrderProgress(msgspec.Struct, frozen=True):
     order_id: str = ""
     update_id: int = 0
     content: str = ""
-    """Nodes and edges of the last message."""
+    """Hash of the nodes and edges of the last message."""
     last_node_id: str = ""
     last_sequence_id: int = 0
     origin: tuple[float, float] = (0.0, 0.0)
@@ -112,7 +113,7 @@ def accept(progress: OrderProgress, order: Order, facts: VehicleFacts) -> OrderP
     """
     if problem := check_order(order, facts.major):
         raise Rejection(order_errors.INVALID, problem)
-    content = msgspec.json.encode((order.nodes, order.edges)).decode()
+    content = sha256(msgspec.json.encode((order.nodes, order.edges))).hexdigest()
     is_update = bool(progress.order_id) and order.order_id == progress.order_id
     if is_update and order.order_update_id == progress.update_id:
         if facts.major == 3 and content != progress.content:  # noqa: PLR2004

@@ -146,6 +146,7 @@ class RouteTable:
     def clear_route(self, row: int) -> None:
         """Remove the route; the vehicle stops."""
         self.last[row] = self.cursor[row] = 0
+        self.nodes.pop(row, None)
 
     def _widen(self, points: int) -> None:
         width = self.x.shape[1]

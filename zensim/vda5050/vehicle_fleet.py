@@ -34,9 +34,22 @@ LOOK_AHEAD_M: Final = 0.5
 TOUCHED_S: Final = 1.0
 """Simulation time for which a contact is a violated field."""
 
+ROW_ARRAYS: Final = (
+    "_poses",
+    "_twists",
+    "_pending",
+    "_s",
+    "_free",
+    "_touched_s",
+    "_driving",
+    "_violated",
+    "_active",
+)
+"""Attributes with a row for each vehicle."""
+
 
 class VehicleFleet:
-    """The vehicles, a row each; rows of removed ones stay empty."""
+    """The vehicles, a row each; a new one takes the row of one that was removed."""
 
     def __init__(self, *, avoids: bool, max_deviation_m: float) -> None:
         self._avoids, self._max_deviation_m = avoids, max_deviation_m
@@ -71,19 +84,24 @@ class VehicleFleet:
 
     def add(self, vehicle: Vehicle, limits: VehicleLimits) -> None:
         """Add a vehicle."""
-        row = self._row[vehicle.name] = len(self.vehicles)
-        self.vehicles.append(vehicle)
-        self._known = None
-        self._table.resize(row + 1)
-        for name in ("_poses", "_twists", "_pending"):
-            old = getattr(self, name)
-            setattr(self, name, np.concatenate([old, np.zeros((1, old.shape[1]))]))
-        for name in ("_s", "_free", "_touched_s", "_driving", "_violated", "_active"):
-            old = getattr(self, name)
-            setattr(self, name, np.concatenate([old, np.zeros(1, dtype=old.dtype)]))
+        if None not in self.vehicles:
+            self._add_row()
+        row = self._row[vehicle.name] = self.vehicles.index(None)
+        self.vehicles[row], self._known = vehicle, None
+        for name in ROW_ARRAYS:
+            getattr(self, name)[row] = 0
         self._free[row], self._touched_s[row] = math.inf, -math.inf
         self._poses[row] = math.nan
+        self._table.clear_route(row)
         self._table.set_limits(row, limits)
+
+    def _add_row(self) -> None:
+        self.vehicles.append(None)
+        self._table.resize(len(self.vehicles))
+        for name in ROW_ARRAYS:
+            old = getattr(self, name)
+            more = np.zeros((1, *old.shape[1:]), dtype=old.dtype)
+            setattr(self, name, np.concatenate([old, more]))
 
     def remove(self, name: str) -> None:
         """Remove a vehicle."""
