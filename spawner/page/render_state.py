@@ -43,7 +43,7 @@ NARROW_AZIMUTH_RAD: Final = np.radians(14.0)
 VIEW_ELEVATION_RAD: Final = np.radians(20.0)
 HIGH_ELEVATION_RAD: Final = np.radians(42.0)
 """Elevation of a view into a world, whose walls would hide what is behind them."""
-SURROUNDINGS_M: Final = 2.5
+SURROUNDINGS_M: Final = 1.0
 """What is shown around robots among walls."""
 TALL_M: Final = 0.2
 """A static model that rises higher above the lowest robot may hide robots."""
