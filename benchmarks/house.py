@@ -62,7 +62,7 @@ GOALS: Final[Mapping[str, int]] = {
 }
 CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
-    "source lines": 146_000,  # ADRs 153 and 154
+    "source lines": 147_000,  # ADRs 153 and 154
     "longest import chain": 34,
     "modules with three seams": 32,
     "classes of networks": 34,
