@@ -135,6 +135,14 @@ class GroupRateLimiter:
         """Forget the last openings."""
         self._has_opened[rows] = False
 
+    def save(self) -> tuple[BoolArray, IntArray, IntArray]:
+        """Copy the openings of all rows."""
+        return self._has_opened.copy(), self._opened_ns.copy(), self._due_ns.copy()
+
+    def load(self, saved: tuple[BoolArray, IntArray, IntArray]) -> None:
+        """Put back what `save` returned."""
+        self._has_opened[:], self._opened_ns[:], self._due_ns[:] = saved
+
     def open(self, time_ns: int) -> tuple[IntArray, FloatArray]:
         """Open the rows that are due.
 

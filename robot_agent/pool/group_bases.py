@@ -118,6 +118,15 @@ class GroupDrive:
         self._last = None
         self._state[rows] = 0.0
 
+    def save(self) -> FloatArray:
+        """Copy the state of all rows."""
+        return np.array(self._state)
+
+    def load(self, state: FloatArray) -> None:
+        """Put back what `save` returned."""
+        self._last = None
+        self._state[:] = state
+
     def forget_last(self) -> None:
         """Forget the last update: no row is due at the present state."""
         self._last = None

@@ -405,6 +405,18 @@ class EngineReplicas(ABC):
     def restore(self, copies: Iterable[int]) -> None:
         """Put some copies into the state in which they were made."""
 
+    def save(self) -> tuple[FloatArray, ...]:
+        """Copy the states and targets of all copies.
+
+        Raises:
+            EngineRefused: The engine has no such arrays.
+        """
+        raise EngineRefused("full dynamics are not saved as arrays; use kinematic robots")
+
+    def load(self, saved: tuple[FloatArray, ...]) -> None:  # noqa: ARG002
+        """Put all copies into the states that `save` returned; raises what it raises."""
+        self.save()
+
     @abstractmethod
     def find_touching(self) -> BoolArray:
         """Find which bodies (copies, n) touch another body; what carries them does not count.

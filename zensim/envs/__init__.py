@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from zensim.envs.avoidance_task import AvoidEachOther
     from zensim.envs.batch import Batch
+    from zensim.envs.coverage_task import CoverField
     from zensim.envs.env_settings import EnvKeywords, EnvSettings
     from zensim.envs.fleet_env import ZensimParallelEnv, parallel_env
     from zensim.envs.formation_task import FollowFormation
+    from zensim.envs.functional_env import FunctionalEnv
     from zensim.envs.navigation_task import DeliverGoods, NavigateMaze
+    from zensim.envs.pursuit_task import CatchEvader
     from zensim.envs.reaching_task import ReachGoal
     from zensim.envs.robot_env import ZensimEnv
     from zensim.envs.robot_task import RobotTask
@@ -20,10 +23,13 @@ if TYPE_CHECKING:
 __all__ = [
     "AvoidEachOther",
     "Batch",
+    "CatchEvader",
+    "CoverField",
     "DeliverGoods",
     "EnvKeywords",
     "EnvSettings",
     "FollowFormation",
+    "FunctionalEnv",
     "NavigateMaze",
     "ReachGoal",
     "RobotTask",
@@ -34,8 +40,11 @@ __all__ = [
     "parallel_env",
 ]
 MODULES = {
+    "functional_env": ("FunctionalEnv",),
     "world_streams": ("WorldStreams",),
     "navigation_task": ("DeliverGoods", "NavigateMaze"),
+    "coverage_task": ("CoverField",),
+    "pursuit_task": ("CatchEvader",),
     "avoidance_task": ("AvoidEachOther",),
     "batch": ("Batch",),
     "env_settings": ("EnvKeywords", "EnvSettings"),

@@ -1,6 +1,8 @@
 """Batch: many copies of one world in arrays, which threads step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -9,11 +11,12 @@ from zensim.api.api_errors import Closed, Invalid, Unsupported
 from zensim.api.argument_checks import check_limits, check_range
 from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.in_process_world import World, get_server
-from zensim.envs.batch_drives import BatchDrives
+from zensim.envs.batch_drives import BatchDrives, SavedDrives
 from zensim.envs.batch_sensors import BatchSensors, SensorName
 from zensim.envs.world_layout import BoolArray, FloatArray, make_world_layout
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.se3 import conjugate, rotate, to_yaw
+from zensim.proto.sensor_noise import KeyArray
 from zensim.proto.state_hash import hash_states
 from zensim.sim_server.physics.cells.cell_executor import StepThreads
 from zensim.sim_server.physics.engine import EngineRefused
@@ -22,6 +25,25 @@ from zensim.sim_server.world.simulated_world import SimulatedWorld
 STATE_COLUMNS = 13
 TWIST_COLUMNS = 3
 MAX_WORLDS, MAX_THREADS = 65536, 1024
+
+
+@dataclass(frozen=True)
+class BatchState:
+    """State of all worlds of a batch, for a batch of the same world.
+
+    Attributes:
+        steps: Of each world, (worlds,).
+        time_ns: Time of the drives.
+        replicas: See `EngineReplicas.save`.
+        drives: See `BatchDrives.save`.
+        noise_keys: Of lidars, (worlds, robots).
+    """
+
+    steps: npt.NDArray[np.int64]
+    time_ns: int
+    replicas: tuple[FloatArray, ...]
+    drives: tuple[FloatArray, tuple[SavedDrives, ...]]
+    noise_keys: KeyArray
 
 
 class Batch(ClosedOnExit):
@@ -53,10 +75,8 @@ class Batch(ClosedOnExit):
         simulated = server.world
         _refuse_passing(simulated)
         self._layout = make_world_layout(simulated)
-        try:
+        with _as_unsupported():
             self._replicas = simulated.engine.replicate(self._layout.bodies, worlds)
-        except EngineRefused as refused:
-            raise Unsupported(str(refused), slug="not_replicable") from refused
         self._is_closed = False
         self._step_ns, self._control_steps = simulated.clock.step_ns, simulated.control_steps
         self._start_steps = simulated.clock.steps
@@ -214,6 +234,31 @@ class Batch(ClosedOnExit):
         self._read()
         self._sensors.restart(dict(zip(rows, rows, strict=True)) if seeds is None else seeds)
 
+    def save(self) -> "BatchState":
+        """Copy the state of all worlds.
+
+        Raises:
+            Unsupported: The worlds have full dynamics, or inertial units are measured.
+        """
+        with _as_unsupported():
+            replicas = self._replicas.save()
+        return BatchState(
+            self._steps.copy(),
+            self._time_ns,
+            replicas,
+            self._drives.save(),
+            self._sensors.save(),
+        )
+
+    def load(self, state: "BatchState") -> None:
+        """Put all worlds into a state that `save` returned; raises what it raises."""
+        with _as_unsupported():
+            self._replicas.load(state.replicas)
+        self._steps[:], self._time_ns = state.steps, state.time_ns
+        self._drives.load(state.drives)
+        self._sensors.load(state.noise_keys)
+        self._read()
+
     def digest(self, world: int = 0) -> str:
         """Hash the state of a world, as `World.state_hash()` does; IndexError if there is none."""
         chosen = [world]
@@ -255,6 +300,14 @@ def _find_axes(
 
 def _dot(one: Sequence[FloatArray], other: Sequence[FloatArray]) -> FloatArray:
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+@contextmanager
+def _as_unsupported() -> Iterator[None]:
+    try:
+        yield
+    except EngineRefused as refused:
+        raise Unsupported(str(refused), slug="not_replicable") from refused
 
 
 def _refuse_passing(world: SimulatedWorld) -> None:

@@ -15,10 +15,13 @@ from zensim.robot_agent.robot_rows import (
     BoolArray,
     FloatArray,
     GroupRateLimiter,
+    IntArray,
 )
 
 TWIST_COLUMNS = 6
 PlaceArray = npt.NDArray[np.intp]
+SavedDrives = tuple[FloatArray, tuple[BoolArray, IntArray, IntArray]]
+"""State of the drives, and the openings of their rate limiters."""
 
 
 class _KindKey(NamedTuple):
@@ -92,6 +95,15 @@ class _DrivesOfKind:
         world, place = np.divmod(due, len(self._places))
         targets[world[:, None], self._targets[place]] = found
 
+    def save(self) -> SavedDrives:
+        """Copy the states of the drives."""
+        return self._drive.save(), self._limiters.save()
+
+    def load(self, saved: SavedDrives) -> None:
+        """Put back what `save` returned."""
+        self._drive.load(saved[0])
+        self._limiters.load(saved[1])
+
     def restart(self, worlds: BoolArray) -> None:
         """Start the drives of some worlds (worlds,) anew."""
         rows = np.flatnonzero(np.repeat(worlds, len(self._places)))
@@ -137,6 +149,16 @@ class BatchDrives:
         """
         for kind in self._kinds:
             kind.update(time_ns, joints, twists, self.targets)
+
+    def save(self) -> tuple[FloatArray, tuple[SavedDrives, ...]]:
+        """Copy targets, and the states of all drives."""
+        return self.targets.copy(), tuple(kind.save() for kind in self._kinds)
+
+    def load(self, saved: tuple[FloatArray, tuple[SavedDrives, ...]]) -> None:
+        """Put back what `save` returned."""
+        self.targets[:] = saved[0]
+        for kind, one in zip(self._kinds, saved[1], strict=True):
+            kind.load(one)
 
     def restart(self, worlds: BoolArray) -> None:
         """Start the drives of some worlds (worlds,) anew."""

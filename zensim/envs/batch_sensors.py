@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from zensim.api.api_errors import Invalid, NotFound
+from zensim.api.api_errors import Invalid, NotFound, Unsupported
 from zensim.api.world_host import WorldHost
 from zensim.envs.world_layout import FloatArray, IntArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
@@ -97,6 +97,21 @@ class BatchSensors:
         if self._imus is not None:
             self._imus.take(times_ns, base, joints)
 
+    def save(self) -> KeyArray:
+        """Copy what measurements depend on beside states and steps.
+
+        Raises:
+            Unsupported: Inertial units have states of their own.
+        """
+        if self._imus is not None:
+            raise Unsupported("a batch with inertial units cannot be saved", hint="leave out imu")
+        return np.zeros((0, 0), np.uint64) if self._lidars is None else self._lidars.keys.copy()
+
+    def load(self, keys: KeyArray) -> None:
+        """Put back what `save` returned."""
+        if self._lidars is not None:
+            self._lidars.take_keys(keys)
+
     def read_imu(self) -> FloatArray:
         """See `Batch.imu`."""
         if self._imus is None:
@@ -130,7 +145,11 @@ def _require_equal(name: str, settings: Sequence[object]) -> None:
 
 
 class BatchLidars:
-    """The lidars of all robots of all worlds, cast at once."""
+    """The lidars of all robots of all worlds, cast at once.
+
+    Attributes:
+        keys: Of their noise, (worlds, robots).
+    """
 
     def __init__(self, server: WorldHost, layout: WorldLayout, worlds: int) -> None:
         """Prepare the scenes; see `BatchSensors`."""
@@ -158,13 +177,18 @@ class BatchLidars:
             len(layout.read),
             len(layout.entities),
         )
-        self._keys = np.zeros((worlds, len(self._sensors)), np.uint64)
+        self.keys = np.zeros((worlds, len(self._sensors)), np.uint64)
         self._noises: list[SensorNoise] = []
         """One for all rows, or one for each world if it has a bias that walks; empty if old."""
 
     def restart(self, world: int, seed: int) -> None:
         """See `BatchSensors.restart`."""
-        self._keys[world] = [make_noise_key(seed, name, sensor) for name, sensor in self._sensors]
+        self.keys[world] = [make_noise_key(seed, name, sensor) for name, sensor in self._sensors]
+        self._noises = []
+
+    def take_keys(self, keys: KeyArray) -> None:
+        """Set the keys (worlds, robots) of the noise."""
+        self.keys[:] = keys
         self._noises = []
 
     @property
@@ -184,7 +208,7 @@ class BatchLidars:
             positions = np.where(is_lost[:, None], start_positions, positions)
         found = self._add_noise(limit_ranges(self._cast(base, positions), self._settings), steps)
         low, high = self.limits
-        found = np.clip(found, low, high).reshape(*self._keys.shape, -1)
+        found = np.clip(found, low, high).reshape(*self.keys.shape, -1)
         found[is_lost] = high
         return found
 
@@ -222,11 +246,11 @@ class BatchLidars:
         return np.stack(found, axis=1).reshape(-1, POSE_COLUMNS)
 
     def _add_noise(self, ranges: FloatArray, steps: IntArray) -> FloatArray:
-        settings, robots = self._settings, self._keys.shape[1]
+        settings, robots = self._settings, self.keys.shape[1]
         if not self._noises:
-            self._noises = [self._make_noise(self._keys.reshape(-1))]
+            self._noises = [self._make_noise(self.keys.reshape(-1))]
             if not self._noises[0].is_counted_by_row:
-                self._noises = [self._make_noise(keys) for keys in self._keys]
+                self._noises = [self._make_noise(keys) for keys in self.keys]
         limits = {"range_min_m": settings.range_min_m, "range_max_m": settings.range_max_m}
         if self._noises[0].is_counted_by_row:
             counters = np.repeat(steps, robots).astype(np.uint64)

@@ -17,8 +17,10 @@ from zensim.api.spawning import check_keywords
 from zensim.envs.avoidance_task import AvoidEachOther
 from zensim.envs.batch import Batch
 from zensim.envs.batch_sensors import SensorName
+from zensim.envs.coverage_task import CoverField
 from zensim.envs.formation_task import FollowFormation
 from zensim.envs.navigation_task import DeliverGoods, NavigateMaze
+from zensim.envs.pursuit_task import CatchEvader
 from zensim.envs.reaching_task import ReachGoal
 from zensim.envs.robot_task import RobotTask, WorldStart
 from zensim.proto.messages.world_messages import GetMapRequest
@@ -34,6 +36,8 @@ TASKS: dict[str, type[RobotTask]] = {
     "avoid": AvoidEachOther,
     "formation": FollowFormation,
     "navigate": NavigateMaze,
+    "pursue": CatchEvader,
+    "cover": CoverField,
     "deliver": DeliverGoods,
 }
 KINDS_OF_DYNAMICS = ("", "kinematic", "full")

@@ -1,13 +1,14 @@
 """Episodes of a task in the worlds of a batch: random streams, actions, observations, ends."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
-from zensim.envs.batch import TWIST_COLUMNS
+from zensim.envs.batch import TWIST_COLUMNS, BatchState
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
 from zensim.envs.robot_task import FleetView, RobotTask
 from zensim.envs.world_layout import BoolArray, FloatArray
@@ -37,6 +38,22 @@ class Outcome:
     is_success: BoolArray
     terminated: BoolArray
     truncated: BoolArray
+
+
+@dataclass(frozen=True)
+class EpisodesState:
+    """State of the episodes of all worlds.
+
+    Attributes:
+        batch: Of the worlds.
+        is_over, is_success: See `Outcome`.
+        task: The task, and the random numbers.
+    """
+
+    batch: BatchState
+    is_over: BoolArray
+    is_success: BoolArray
+    task: tuple[RobotTask, WorldStreams]
 
 
 class Episodes:
@@ -134,6 +151,29 @@ class Episodes:
         twists[:, self._agents, ::2] = np.where(is_still[..., None], 0.0, limited)
         self.batch.step(twists, self._control_steps)
         return self._judge(self._view(), restarted)
+
+    def save(self) -> "EpisodesState":
+        """Copy the state of all worlds and of the task; raises what `Batch.save` raises."""
+        marks = self._is_over.copy(), self._is_success.copy()
+        # The task may keep the streams: one copy of both.
+        return EpisodesState(self.batch.save(), *marks, deepcopy((self._task, self._streams)))
+
+    def load(self, state: "EpisodesState") -> None:
+        """Put back a state that `save` returned.
+
+        Raises:
+            Invalid: The state has other worlds or robots.
+        """
+        if state.is_over.shape != self._is_over.shape:
+            raise Invalid(
+                f"the state has {state.is_over.shape} worlds and robots",
+                slug="wrong_shape",
+                hint=f"use one of {self._is_over.shape}",
+            )
+        self.batch.load(state.batch)
+        self._is_over, self._is_success = state.is_over.copy(), state.is_success.copy()
+        self._task, self._streams = deepcopy(state.task)
+        self._view()
 
     def close(self) -> None:
         """End the threads."""

@@ -16,5 +16,6 @@ def register_ids() -> None:
     for name, task in (("Avoid", "avoid"), ("Formation", "formation")):
         given = {"task": task, "count": ROBOTS}
         gymnasium.register(f"zensim/{name}-v0", vector_entry_point=MANY, kwargs=given)
-    given = {"task": "deliver"}
-    gymnasium.register("zensim/Deliver-v0", vector_entry_point=MANY, kwargs=given)
+    for name, task in (("Pursue", "pursue"), ("Cover", "cover"), ("Deliver", "deliver")):
+        given = {"task": task}
+        gymnasium.register(f"zensim/{name}-v0", vector_entry_point=MANY, kwargs=given)

@@ -55,8 +55,8 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
 
         Args:
             num_envs: Number of worlds, 1 to 65536.
-            task: `reach`, `avoid`, `formation`, `navigate`, `deliver`, or one of your
-                own, which is copied.
+            task: `reach`, `avoid`, `formation`, `navigate`, `pursue`, `cover`, `deliver`, or one
+                of your own, which is copied.
             autoreset_mode: NEXT_STEP: the step after the end of an episode restarts its world and
                 ignores its action. DISABLED: `reset(options={"reset_mask": mask})` does.
             options: See `EnvKeywords`.

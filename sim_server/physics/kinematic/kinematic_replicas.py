@@ -83,6 +83,18 @@ class KinematicReplicas(EngineReplicas):
         self._stopped = self._stopped[~np.isin(self._stopped // self._shape[1], chosen)]
         self._surroundings.invalidate()
 
+    def save(self) -> tuple[FloatArray, ...]:
+        """See `EngineReplicas.save`."""
+        stopped = self._stopped.astype(np.float64)
+        return (*(column.copy() for column in self._view_state()), stopped)
+
+    def load(self, saved: tuple[FloatArray, ...]) -> None:
+        """See `EngineReplicas.load`."""
+        for column, values in zip(self._view_state(), saved[:-1], strict=True):
+            column[:] = values
+        self._stopped = saved[-1].astype(np.intp)
+        self._surroundings.invalidate()
+
     def find_touching(self) -> BoolArray:
         """See `EngineReplicas.find_touching`: what stopped before others in the last step."""
         found = np.zeros(len(self._table.tier), np.bool_)

@@ -16,7 +16,7 @@ def test_task_of_one_robot_is_made_by_its_id() -> None:
     assert np.isfinite(float(reward))
 
 
-@pytest.mark.parametrize("name", ["Reach", "Avoid", "Formation"])
+@pytest.mark.parametrize("name", ["Reach", "Avoid", "Formation", "Pursue", "Cover"])
 def test_worlds_of_a_task_are_made_by_its_id(name: str) -> None:
     envs = gymnasium.make_vec(f"zensim.envs:zensim/{name}-v0", num_envs=2)
     try:

@@ -1,13 +1,19 @@
-"""Tasks in worlds with walls: free places, navigation and deliveries."""
+"""Tasks with worlds of their own: places, chase, coverage and deliveries."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import zensim
 from zensim.envs import ZensimEnv, ZensimVectorEnv
+from zensim.envs.coverage_task import CoverField
 from zensim.envs.env_settings import make_world_start
 from zensim.envs.free_places import find_free_places
 from zensim.envs.navigation_task import NavigateMaze
+from zensim.envs.pursuit_task import CatchEvader
+from zensim.envs.robot_task import FleetView
+from zensim.envs.world_streams import WorldStreams
 
 
 def steer(seen: np.ndarray) -> np.ndarray:
@@ -68,6 +74,45 @@ def test_goals_of_navigation_are_free_places_and_a_lidar_follows() -> None:
     away = np.hypot(*(places - (x, y) - observation[:2]).T)
     assert away.min() < 1e-3
     env.close()
+
+
+def test_a_pursuer_that_is_faster_catches_the_evader() -> None:
+    successes, rewards = run(ZensimVectorEnv(3, task="pursue", count=2), 0, 200)
+
+    assert successes.all()
+    assert rewards[-1].max() > 0.9
+
+
+def test_the_evader_flees_and_is_seen_in_the_frame_of_the_robot() -> None:
+    task = CatchEvader()
+    poses = np.array([[[0.0, 0.0, np.pi / 2.0], [2.0, 0.0, 0.0]]])
+    view = FleetView(poses, np.zeros((1, 2, 2)), np.zeros((1, 2), np.bool_), np.zeros(1))
+    task.restart(np.arange(1), view, WorldStreams(1))
+
+    assert task.drive(view)[0, 1] == pytest.approx([0.3, 0.0])
+    assert task.observe(view)[0, 0, :5] == pytest.approx([0.0, -2.0, 0.0, 0.0, -1.0])
+
+
+def test_robots_that_drive_to_the_nearest_cell_cover_the_field() -> None:
+    successes, rewards = run(ZensimVectorEnv(2, task="cover"), 7, 600)
+
+    assert successes.all()
+    assert rewards.sum() > 0.0
+
+
+def test_covered_cells_pay_once() -> None:
+    task = CoverField(side_m=2.0)
+    poses = np.array([[[-0.75, -0.75, 0.0], [0.75, 0.75, 0.0]]])
+    view = FleetView(poses, np.zeros((1, 2, 2)), np.zeros((1, 2), np.bool_), np.zeros(1))
+    task.restart(np.arange(1), view, WorldStreams(1))
+    moved = replace(view, poses=poses * (-1.0, 1.0, 1.0))
+
+    paid = [task.judge(one).rewards for one in (view, moved, moved)]
+
+    assert task.observe(view)[0, 0, 6] == pytest.approx(12.0 / 16.0)
+    assert paid[0] == pytest.approx(np.full((1, 2), -0.01))
+    assert paid[1] == pytest.approx(np.full((1, 2), 0.29))
+    assert paid[2] == pytest.approx(paid[0])
 
 
 def test_a_delivery_pays_and_gives_the_next_goal() -> None:
