@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from zensim.robot_agent.odometry import MotionColumns, find_encoder_motion, find
 from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.robot_rows import (
     ALL_ROWS,
+    NEW_ROW,
     BoolArray,
     FloatArray,
     GroupRateLimiter,
@@ -97,6 +99,29 @@ class GroupEncoderOdometry:
         self.motions[is_next] = _stack_motion(len(x), motion)
 
 
+class DriveUpdate(NamedTuple):
+    """What an update of some rows began with."""
+
+    rows: IntArray
+    state: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    elapsed_s: FloatArray
+
+    def join(self, later: "DriveUpdate") -> "DriveUpdate":
+        """Add an update of other rows."""
+        return DriveUpdate(*map(np.concatenate, zip(self, later, strict=True)))
+
+    def remap(self, before: IntArray) -> "DriveUpdate":
+        """Leave out rows that are gone, and number the others anew; see `remap_floats`."""
+        is_kept = before != NEW_ROW
+        after = np.full(max(self.rows.max(initial=-1), before.max(initial=-1)) + 1, NEW_ROW)
+        after[before[is_kept]] = np.flatnonzero(is_kept)
+        rows = after[self.rows]
+        found = rows != NEW_ROW
+        return DriveUpdate(rows[found], *(column[found] for column in self[1:]))
+
+
 class GroupDrive:
     """Drive kinematics of a group and their state, (n, state_size)."""
 
@@ -105,12 +130,12 @@ class GroupDrive:
         self._state = np.zeros((0, self._kinematics.state_size))
         self.longest_s = math.inf
         """Most time [s] that an update counts."""
-        self._last: tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray] | None = None
-        """Rows, state, positions, velocities and time of the last update."""
+        self._last: DriveUpdate | None = None
+        self._last_ns = -1
 
     def remap(self, before: IntArray) -> None:
         """Remap rows; see `remap_floats`."""
-        self._last = None
+        self._last = None if self._last is None else self._last.remap(before)
         self._state = remap_floats(self._state, before)
 
     def reset(self, rows: IntArray | slice = ALL_ROWS) -> None:
@@ -127,9 +152,10 @@ class GroupDrive:
         self._last = None
         self._state[:] = state
 
-    def forget_last(self) -> None:
-        """Forget the last update: no row is due at the present state."""
-        self._last = None
+    def begin(self, time_ns: int) -> None:
+        """Forget the updates of another time; robots claimed later add theirs to those of this."""
+        if time_ns != self._last_ns:
+            self._last, self._last_ns = None, time_ns
 
     def update(
         self,
@@ -149,18 +175,19 @@ class GroupDrive:
             velocities: [rad/s].
             elapsed_s: Simulation time since each row's last update; (m,).
         """
-        self._last = (rows, self._state[rows], positions, velocities, elapsed_s)
-        return self._find_targets(twists, *self._last)
+        update = DriveUpdate(rows, self._state[rows], positions, velocities, elapsed_s)
+        self._last = update if self._last is None else self._last.join(update)
+        return self._find_targets(twists, *update)
 
     def revise(self, twists: FloatArray) -> tuple[IntArray, FloatArray] | None:
-        """Repeat the last update with other twists (n, 6) of all rows.
+        """Repeat the updates of the present time with other twists (n, 6) of all rows.
 
         Returns:
             Its rows (m,) and their targets; None if no row was updated.
         """
         if (last := self._last) is None:
             return None
-        return last[0], self._find_targets(twists[last[0]], *last)
+        return last.rows, self._find_targets(twists[last.rows], *last)
 
     def _find_targets(
         self,
@@ -243,7 +270,7 @@ class GroupBaseController:
         if self._encoders is not None and self._group_key.encoder is not None:
             self._encoders.update(positions[:, list(self._group_key.encoder)], time_ns)
         rows, elapsed_s = self._limiters.open(time_ns)
-        self._drive.forget_last()
+        self._drive.begin(time_ns)
         if len(rows):
             found = self._drive.update(
                 rows,

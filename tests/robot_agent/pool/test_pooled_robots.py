@@ -355,6 +355,35 @@ def test_odometry_of_the_fleet_has_the_joints_of_its_rows(
     assert b"".join(one.joint_positions for one in robots.list_odometry()) == positions
 
 
+def test_robots_that_are_claimed_one_by_one_obey_commands_of_the_same_step() -> None:
+    together, one_by_one = Both(), Both()
+    rng = np.random.default_rng(1)
+    for both in (together, one_by_one):
+        both.take(two_wheeler(), two_wheeler())
+    state = together.state(rng, together.claims)
+    first = msgspec.structs.replace(
+        state,
+        claims=state.claims[:4],
+        base=state.base[: len(state.base) // 2],
+        joint_positions=state.joint_positions[: len(state.joint_positions) // 2],
+        joint_velocities=state.joint_velocities[: len(state.joint_velocities) // 2],
+        joint_efforts=state.joint_efforts[: len(state.joint_efforts) // 2],
+    )
+    together.pool.advance(state)
+    pool = PooledRobots(one_by_one.buses[0], TIMEOUT_NS)
+    pool.add_claims(one_by_one.claims[:1])
+    pool.advance(first)
+    pool.add_claims(one_by_one.claims[1:])
+    pool.advance(state)
+    for both in (together, one_by_one):
+        both.command(Twist(Vector3(0.4)), Format.CDR, *both.claims)
+
+    expected, found = together.pool.repeat(state), pool.repeat(state)
+
+    assert any(targets_of(expected))
+    assert targets_of(found) == targets_of(expected)
+
+
 def test_pool_resets_its_robots() -> None:
     rng, both = np.random.default_rng(7), Both()
     both.take(*[robot_of(drive) for drive in DRIVES.values()])
