@@ -1,10 +1,8 @@
 """A scenario has equal states and equal bytes in a world in process and on a server in lockstep.
 
-Left out: scenarios that spawn robots by several requests, because an agent on a server may take
-several claims at once, and orders before the first step then act a control step earlier; topics of
-the world, which a server publishes by wall time; odometry of robots that are divided among other
-pools, because numpy's sine depends on the length of arrays in its last bit; lidars, whose process
-may not have started.
+Left out: `thousand`, for its time; topics of the world, which a server publishes by wall time;
+odometry of robots that are divided among other pools, because numpy's sine depends on the length of
+arrays in its last bit; lidars, whose process may not have started.
 """
 
 from collections.abc import Mapping
@@ -19,6 +17,8 @@ from zensim.scenario.scenario_reader import find_scenario_file
 
 SCENARIOS = {
     "faulty_fleet": (("end.at=0.3 s", "engine.use=mujoco"), {"bumper_states", "imu", "tf"}),
+    "first_minutes": (("end.at=0.3 s", "engine.use=mujoco"), {"imu", "tf"}),
+    "formation": (("end.at=0.3 s", "engine.use=mujoco"), {"imu", "tf"}),
     "warehouse": (
         ("end.at=0.2 s",),
         {"bumper_states", "imu", "joint_states", "odom", "tf"},
