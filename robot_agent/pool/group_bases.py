@@ -110,7 +110,8 @@ class DriveUpdate(NamedTuple):
 
     def join(self, later: "DriveUpdate") -> "DriveUpdate":
         """Add an update of other rows."""
-        return DriveUpdate(*map(np.concatenate, zip(self, later, strict=True)))
+        rows, *columns = map(np.concatenate, zip(self, later, strict=True))
+        return DriveUpdate(rows.astype(np.int64), *columns)
 
     def remap(self, before: IntArray) -> "DriveUpdate":
         """Leave out rows that are gone, and number the others anew; see `remap_floats`."""
