@@ -110,8 +110,8 @@ class DriveUpdate(NamedTuple):
 
     def join(self, later: "DriveUpdate") -> "DriveUpdate":
         """Add an update of other rows."""
-        rows, *columns = map(np.concatenate, zip(self, later, strict=True))
-        return DriveUpdate(rows.astype(np.int64), *columns)
+        columns = [np.concatenate(pair) for pair in zip(self[1:], later[1:], strict=True)]
+        return DriveUpdate(np.concatenate([self.rows, later.rows]), *columns)
 
     def remap(self, before: IntArray) -> "DriveUpdate":
         """Leave out rows that are gone, and number the others anew; see `remap_floats`."""
