@@ -68,7 +68,7 @@ CEILINGS: Final[Mapping[str, int]] = {
     "classes of networks": 34,
     "classes with six verbs of engines": 13,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine
-    "files of a tick": 80,  # 67 to 77, likewise
+    "files of a tick": 88,  # 77 to 83, likewise; ADRs 155 and 157 added four
 }
 """Most that a change may have; a change that has less lowers it."""
 SETTLE_S = 2.0
