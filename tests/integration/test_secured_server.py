@@ -416,7 +416,7 @@ def test_page_has_the_controls_that_its_role_may_use(
     with running(*view) as process:
         assert process.stdout is not None
         with PageUser(process.stdout.readline().split()[-1]) as user:
-            user.control("Reset" if acts else "Collision shapes")  # of the last tab
+            user.control("Run to this time" if acts else "Collision shapes")  # of the last tab
 
             assert ({"Spawn", "Stop all"} <= user.list_labels()) == acts
 

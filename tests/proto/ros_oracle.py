@@ -157,7 +157,7 @@ ZENSIM = {
     "AgentCommands": "uint64 taken; uint64 due; float64 taken_hz; float64 due_hz",
     "TwistCommands": "string client; string[] entities; uint8[] twists",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets; uint32 order;"
-    " bool wants_efforts; uint32 withheld_hz",
+    " bool wants_efforts; uint32 withheld_hz; uint32 rest_ns",
     "SensorsReply": "uint32 epoch; uint64 step; uint64 messages; uint64 late",
     "SensorFigures": "string entity; string sensor; string topic; bool has_subscribers;"
     " uint64 messages; uint64 late; float64 cost_s",
