@@ -31,8 +31,11 @@ from benchmarks.figures import Figure, Limit
 from tests.integration.page_client import (
     PROTOCOL,
     connect_page,
+    encode_act,
     encode_camera,
     encode_click,
+    encode_drive,
+    encode_selection,
     encode_update,
     find_control,
 )
@@ -125,13 +128,13 @@ def _load(bus: Bus, url: str, up: int, *, is_short: bool) -> Iterator[Figure]:
             time.sleep(LASTS_WHEN_SHORT_S if is_short else LASTS_S)
         lasted_s = time.monotonic() - began_s
         factor = (client.info().sim_time_s - began.sim_time_s) / lasted_s
-        _press_pause(client, url, buttons)
+        _press_pause(client, url)
     sys.stderr.write(f"broken off: {Counter(visits.broken)}\n")
     visited_mb = _find_memory_mb(page) - before_mb
     mutants = MUTANTS_WHEN_SHORT if is_short else MUTANTS
     senders = SENDERS_WHEN_SHORT if is_short else SENDERS
     mutated_mb = _send_mutants(page, url, buttons, mutants, senders)
-    _press_pause(client, url, buttons)
+    _press_pause(client, url)
     is_same = float(_find_page(up) == page)
     yield Figure(
         what=f"real-time factor, {visits.opened} visits in {lasted_s:.0f} s "
@@ -187,14 +190,15 @@ async def _end_tasks() -> None:
     await asyncio.gather(*others, return_exceptions=True)
 
 
-def _press_pause(client: SimClient, url: str, buttons: str) -> None:
+def _press_pause(client: SimClient, url: str) -> None:
     """Pause and play by the page; other services of the server are not involved."""
     for button, state in (("Pause", "paused"), ("Play", "playing")):
 
         def is_reached(button: str = button, state: str = state) -> bool:
             with suppress(InvalidStatus, OSError), closing(connect_page(url)) as page:
                 page.send(encode_camera())
-                page.send(encode_update(buttons, value=button))
+                find_control(page, "GuiButtonGroupMessage")  # this visitor may act now
+                page.send(encode_act(button))
                 return _has_state(client, state)
             return False
 
@@ -216,7 +220,10 @@ def _send_mutants(page: int, url: str, buttons: str, mutants: int, senders: int)
         Memory of the page afterwards, more than with as many links before [MB].
     """
     chance = random.Random(2)
-    originals = (encode_camera(), encode_click("/robots/0/0", 1), encode_update(buttons, value=1))
+    originals = (
+        *(encode_camera(), encode_click("/robots/0/0", 1), encode_update(buttons, value=1)),
+        *(encode_act("Step"), encode_selection("r1"), encode_drive(0.1)),
+    )
     with ExitStack() as stack:
         links = [stack.enter_context(closing(connect_page(url))) for _ in range(senders)]
         threads = [
