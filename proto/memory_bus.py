@@ -22,9 +22,17 @@ from zensim.proto.network_protocols import (
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 
 Message = TypeVar("Message", bound=msgspec.Struct)
+Item = TypeVar("Item")
 OnCall = Callable[[Service[Any, Any], Any], Any]
 MAX_PUMP_ROUNDS, MAX_PUMP_S = 100, 2.0
 """How often, and how long at most, `MemoryBus.pumps` run for one query."""
+
+
+def _drain(queue: deque[Item]) -> list[Item]:
+    """Take all items of a queue, oldest first."""
+    taken = list(queue)
+    queue.clear()
+    return taken
 
 
 class MemoryPublisher:
@@ -71,11 +79,7 @@ class MemorySubscription:
 
     def take(self) -> list[Sample]:
         """Take all messages received, oldest first."""
-        if not self.samples:
-            return []
-        taken = list(self.samples)
-        self.samples.clear()
-        return taken
+        return _drain(self.samples)
 
     def newest(self) -> Sample | None:
         """Take all messages and return the last."""
@@ -168,11 +172,7 @@ class MemoryQueries:
 
     def take(self) -> list[MemoryCall]:
         """Take all requests, oldest first."""
-        if not self.calls:
-            return []
-        taken = list(self.calls)
-        self.calls.clear()
-        return taken
+        return _drain(self.calls)
 
     def close(self) -> None:
         """Receive no further requests."""
@@ -202,11 +202,7 @@ class MemoryTokenWatch:
 
     def take(self) -> list[tuple[str, bool]]:
         """Take all changes: key, and whether the token is alive."""
-        if not self.changes:
-            return []
-        taken = list(self.changes)
-        self.changes.clear()
-        return taken
+        return _drain(self.changes)
 
     def close(self) -> None:
         """Watch no more."""

@@ -120,6 +120,11 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
     return np.array(rigid_transforms.from_rpy(roll, pitch, yaw))
 
 
+def wrap_angle(angle: FloatArray) -> FloatArray:
+    """Bring angles to -pi to pi [rad]."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
 def to_yaw(turn: FloatArray) -> FloatArray:
     """Find headings (...) [rad] about z."""
     return np.asarray(rigid_transforms.find_yaw(_split(turn), ARRAY_MATH))

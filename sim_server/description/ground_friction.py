@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import ZERO
+from zensim.proto.se3 import wrap_angle
 from zensim.sim_server.description.coulomb_motion import (
     CoulombMotion,
     SlipTerms,
@@ -240,7 +241,7 @@ class GroundFriction:
             if np.hypot(*speed) < MIN_TRAIL_M:
                 continue
             now, wanted = np.arctan2(trail[1], trail[0]), np.arctan2(-speed[1], -speed[0])
-            turn = (wanted - now + np.pi) % (2.0 * np.pi) - np.pi
+            turn = wrap_angle(wanted - now)
             positions[joint] += turn * np.sign(
                 axis_of(rest.frames, self.model.joints[joint], joint)[2]
             )

@@ -1,10 +1,11 @@
 """Driving to points around what rays hit, as a lidar at 10 Hz sees it; on arrays, no network."""
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
+
+from zensim.proto.se3 import wrap_angle
 
 FloatArray = npt.NDArray[np.float64]
 CastRays = Callable[[FloatArray, FloatArray, float], FloatArray]
@@ -77,5 +78,4 @@ def steer_around(
 def find_bearings(poses: FloatArray, points: FloatArray) -> FloatArray:
     """Find the bearings of points (n, 2) about the headings of robots [rad], (n,)."""
     offset = points - poses[:, :2]
-    error = np.arctan2(offset[:, 1], offset[:, 0]) - poses[:, 2]
-    return np.asarray((error + math.pi) % (2.0 * math.pi) - math.pi)
+    return wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - poses[:, 2])

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.se3 import wrap_angle
 from zensim.vda5050.route_geometry import FloatArray, Route
 
 BoolArray = npt.NDArray[np.bool_]
@@ -181,7 +182,7 @@ def follow(
     alpha, distance = _aim(table, rows, poses, s)
     has_route = table.last > 0
     at_stop = has_route & (left < REACHED_M)
-    missing = _wrap(table.stop_heading - poses[:, 2])
+    missing = wrap_angle(table.stop_heading - poses[:, 2])
     can_turn = np.isinf(table.limits[:, 4])
     aligned = ~can_turn | np.isnan(missing) | (np.abs(missing) < table.aligned)
     speed = _limit_speed(table, rows, s, left, dt_s)
@@ -278,7 +279,7 @@ def _steer(
     turn, heading = table.turn[rows, c], table.heading[rows, c]
     is_sideways = table.limits[:, 5] > 0.0
     is_reverse = ~is_sideways & (np.abs(turn) > REVERSE_RAD)
-    alpha = _wrap(toward - yaw - np.where(is_reverse, math.pi, 0.0))
+    alpha = wrap_angle(toward - yaw - np.where(is_reverse, math.pi, 0.0))
     starts = np.abs(alpha) > np.where(table.is_pivoting, PIVOT_TO_RAD, PIVOT_FROM_RAD)
     table.is_pivoting = starts & np.isinf(curvature) & ~is_sideways
     bend = np.clip(2.0 * np.sin(alpha) / distance, -curvature, curvature)
@@ -289,7 +290,7 @@ def _steer(
     _set_steering(table, twists, np.where(is_reverse, -bend, bend))
     wanted = np.where(np.isnan(heading), toward + turn, heading)
     ahead = toward - yaw
-    spin = np.clip(TURN_GAIN * _wrap(wanted - yaw), -most, most)
+    spin = np.clip(TURN_GAIN * wrap_angle(wanted - yaw), -most, most)
     sideways = np.stack([speed * np.cos(ahead), speed * np.sin(ahead), spin], axis=1)
     return np.asarray(np.where(is_sideways[:, None], sideways, twists))
 
@@ -302,7 +303,3 @@ def _set_steering(table: RouteTable, twists: FloatArray, bend: FloatArray) -> No
     twists[:, 2] = np.where(kind == ACKERMANN, angle * forward, twists[:, 2])
     twists[:, 2] = np.where(kind == TRICYCLE, angle, twists[:, 2])
     twists[:, 0] = np.where(kind == TRICYCLE, twists[:, 0] / np.cos(angle), twists[:, 0])
-
-
-def _wrap(angle: FloatArray) -> FloatArray:
-    return np.asarray((angle + math.pi) % (2.0 * math.pi) - math.pi)

@@ -8,6 +8,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.se3 import wrap_angle
 from zensim.vda5050.vda_messages import CurvedEdge, Edge, Node
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -146,7 +147,7 @@ def _find_corners(
     speed, sharp = np.full(len(points), max_speed), np.zeros(len(points), dtype=bool)
     if len(points) > 2:  # noqa: PLR2004
         direction = np.arctan2(*np.diff(points, axis=0).T[::-1])
-        bend = np.abs((np.diff(direction) + math.pi) % (2.0 * math.pi) - math.pi)
+        bend = np.abs(wrap_angle(np.diff(direction)))
         bend[(lengths[1:] < 1e-9) | (lengths[:-1] < 1e-9)] = 0.0  # noqa: PLR2004
         radius = (lengths[1:] + lengths[:-1]) / 2.0 / np.maximum(bend, 1e-6)
         sharp[1:-1] = bend > SHARP_RAD
