@@ -5,7 +5,7 @@ and with the page also that it is served; then from Ctrl-C until no process is l
 the time in that line: without the start of the interpreter, and without the page. One run before is
 not counted, so that the disk cache is warm. `CPU until ready` is the CPU time of all processes by
 then, which other programs hardly change. `idle`: ten robots drive circles with the page and ROS 2,
-and nobody watches, with an agent for each robot and with a pool: cores of all programs, and their
+without subscribers, with an agent for each robot and with a pool: cores of all programs, and their
 memory as proportional sets (PSS) and as resident sets, which count shared pages in each. Floor: as
 many interpreters at once that only import the outside libraries of agents and server.
 """
@@ -85,7 +85,7 @@ def _run(robots: int, options: tuple[str, ...]) -> Run:
 
 
 def _measure_idling(robots: int, agents: str, *, is_short: bool) -> Iterator[Figure]:
-    """Measure programs that nobody watches, by program and together."""
+    """Measure idle programs without subscribers, each and together."""
     arguments = ("up", "--json", "--listen", "tcp/127.0.0.1:0", "--robots", str(robots))
     with running(*arguments, *PAGES["with page"], "--agents", agents) as up:
         ready_s = float(str(read_json_line(up)["ready_s"]))
