@@ -11,6 +11,7 @@ import pytest
 import zenoh
 
 from tests.integration.processes import (
+    START_S,
     Server,
     eventually,
     free_endpoint,
@@ -25,6 +26,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.service_catalog import SERVICES
+from zensim.spawner.client.sim_client import SimClient
 
 GARBAGE = (
     b"\x00",
@@ -278,6 +280,7 @@ def test_second_server_of_a_world_is_refused(server: Server) -> None:
 
 def test_other_world_joins_the_same_router(server: Server) -> None:
     with running("serve", "--connect", server.endpoint, "--world-name", "other"):
+        SimClient(server.bus, "other", timeout_s=START_S).wait_for_server(START_S)
         done = server.zensim("spawn", "box_bot", "-n", "o1", "--world-name", "other")
 
         assert done.returncode == 0, done.stderr

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from tests.hostile.case import BODY, alone, solid
-from tests.integration.processes import Server, eventually, serving
+from tests.integration.processes import START_S, Server, eventually, serving
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.parser_process.parser_client import BUSY_MESSAGE
@@ -23,6 +23,7 @@ from zensim.spawner.spawn.search_paths import SearchPaths
 from zensim.spawner.spawn.spawn_client import add_payload, make_payload, send_files
 
 STDIN = 0
+PARSER = "zensim.sim_server.parser_process.parser_worker"
 SLOW = f"reader.busy: {BUSY_MESSAGE}"
 EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
 """JSON of a GLB file of 63 MB: nested lists that need far more memory than the file."""
@@ -47,13 +48,22 @@ def assert_steps_and_spawns(server: Server) -> Iterator[None]:
 
 
 def find_parser(server: Server) -> psutil.Process:
-    """Find the parser process of a server."""
-    (reader,) = [
-        child
-        for child in psutil.Process(server.process.pid).children()
-        if "zensim.sim_server.parser_process.parser_worker" in child.cmdline()
-    ]
-    return reader
+    """Find the parser process of a server; one that has just begun has no command line yet."""
+
+    def find() -> psutil.Process | None:
+        children = psutil.Process(server.process.pid).children()
+        found = [child for child in children if PARSER in command_of(child)]
+        return found[0] if len(found) == 1 else None
+
+    return eventually(find, START_S, "a parser process")
+
+
+def command_of(process: psutil.Process) -> list[str]:
+    """Read a command line; empty for a process that has ended."""
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def an_order(name: str) -> SpawnEntityOrder:
