@@ -6,8 +6,8 @@ the server's process, read every ten seconds; its growth is the slope of the lin
 
 Then robots come and go as fast as possible, each kind on a server of its own: with new names or the
 same one, with a lidar or without sensors, with a subscriber that waits for a scan of each, with ROS
-2 or without, and driven by a pool whose odometry is awaited. The growth of each process is the
-slope over the cycles after the first third, which fill caches.
+2 or without, and driven by a pool whose odometry is awaited, beside a page. The growth of each
+process is the slope over the cycles after the first third, which fill caches.
 """
 
 import os
@@ -51,6 +51,7 @@ class SoakKind:
         awaited: Topic whose first message is awaited before a robot is deleted.
         is_driven: Whether there is a pool of agents.
         has_ros: Whether there are ROS 2 keys and tokens.
+        has_page: Whether a page follows the world.
     """
 
     has_new_names: bool
@@ -58,11 +59,13 @@ class SoakKind:
     awaited: TopicSpec | None = None
     is_driven: bool = False
     has_ros: bool = True
+    has_page: bool = False
 
     def __str__(self) -> str:
         """Describe it."""
         words = ["new names" if self.has_new_names else "one name"]
         words += ["lidar"] * self.has_sensors + ["pool"] * self.is_driven
+        words += ["page"] * self.has_page
         words += [f"subscriber of {self.awaited.suffix}"] if self.awaited is not None else []
         return ", ".join([*words, "ROS 2" if self.has_ros else "no ROS 2"])
 
@@ -76,7 +79,7 @@ KINDS = tuple(
         SoakKind(has_new_names, has_sensors=True),
         SoakKind(has_new_names, has_sensors=True, awaited=SCAN),
         SoakKind(has_new_names, has_sensors=True, awaited=SCAN, has_ros=False),
-        SoakKind(has_new_names, is_driven=True, awaited=ODOM),
+        SoakKind(has_new_names, is_driven=True, awaited=ODOM, has_page=True),
     )
 )
 
@@ -128,6 +131,9 @@ def _soak_kind(kind: SoakKind, cycles: int, *, is_short: bool) -> Iterator[Figur
             # Nobody reads its log: two lines for each robot would fill the pipe after 386.
             pool = ("agent", "--pool", "0", "--quiet", *ros, "--connect", server.endpoint)
             programs["pool"] = stack.enter_context(running(*pool)).pid
+        if kind.has_page:
+            page = ("view", "--port", "0", "--connect", server.endpoint)
+            programs["page"] = stack.enter_context(running(*page)).pid
         read = _cycle(server, kind, cycles, programs)
     for program, points in read.items():
         slope_b = find_slope([one for one in points if one[0] >= WARM_SHARE * cycles])
