@@ -35,7 +35,10 @@ NETWORK_SUFFIXES: Final = ("Publisher", "Subscription", "Network")
 FLAG: Final = re.compile(r"(?<![\w-])--[a-z]")
 COMMAND: Final = re.compile(r"['`][^'`]*--[^'`]*['`]")
 """Command with options that a message says to type."""
-SETTINGS: Final = ("step_hz", "clusters", "on_miss", "engine_workers")
+SETTINGS: Final = (
+    *("step_hz", "clusters", "on_miss", "engine_workers", "lockstep_timeout"),
+    *("viewer_port", "ros_bridge", "client_certificates", "drive_others"),
+)
 """Settings whose files are counted."""
 DATA_PAGES: Final = frozenset(
     f"docs/{one}.md" for one in ("benchmark_results", "chaos", "interop", "robots", "worlds_tried")

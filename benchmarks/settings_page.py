@@ -3,7 +3,8 @@
 from typing import Final
 
 from benchmarks.machine import ROOT
-from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
+from zensim.proto.settings.deployment_settings import ServeSettings, UpSettings
+from zensim.proto.settings.server_settings import WorldKeywords
 from zensim.proto.settings.setting import (
     SettingField,
     describe_range,
@@ -13,10 +14,10 @@ from zensim.proto.settings.setting import (
 )
 
 PAGE: Final = ROOT / "docs" / "settings.md"
-BEGIN, END = "<!-- settings of a server: begin -->\n", "<!-- settings of a server: end -->\n"
+BEGIN, END = "<!-- settings: begin -->\n", "<!-- settings: end -->\n"
 HEAD: Final = (
-    "| option of `serve` and `up` | key of scenario files | keyword of `World`, `launch` | "
-    "default | meaning |\n|---|---|---|---|---|\n"
+    "| option of `up` | `serve`, too | key of scenario files | keyword of `World`, `launch` | "
+    "default | meaning |\n|---|---|---|---|---|---|\n"
 )
 
 
@@ -29,14 +30,16 @@ def replace_table(page: str) -> str:
     """Replace the table of the page by that of the settings."""
     before, _, rest = page.partition(BEGIN)
     _, _, after = rest.partition(END)
-    rows = "".join(format_row(one) for one in list_settings(ServerSettings))
+    rows = "".join(format_row(one) for one in list_settings(UpSettings))
     return f"{before}{BEGIN}\n{HEAD}{rows}\n{END}{after}"
 
 
 def format_row(field: SettingField) -> str:
     """Write a setting as a row."""
     keyword = f"`{field.name}`" if field.name in WorldKeywords.__annotations__ else ""
-    cells = (f"`{field.flag}`", f"`{field.setting.key}`", keyword, _default(field), _mean(field))
+    served = "yes" if field in list_settings(ServeSettings) else ""
+    key = field.setting.key and f"`{field.setting.key}`"
+    cells = (f"`{field.spelling}`", served, key, keyword, _default(field), _mean(field))
     return f"| {' | '.join(cells)} |\n"
 
 
@@ -51,8 +54,8 @@ def _default(field: SettingField) -> str:
     if field.setting.usual:
         return spell_flags(field.setting.usual)
     if isinstance(field.default, bool):
-        return "off"
-    return f"`{field.default}`" if field.default != () else ""
+        return "on" if field.default else "off"
+    return f"`{field.default}`" if field.default not in ((), "", None) else ""
 
 
 if __name__ == "__main__":

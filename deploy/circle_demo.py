@@ -90,4 +90,4 @@ def make_circle_demo(deployment: LocalDeployment) -> CircleDemo:
     """Make the demo of the robots of a deployment."""
     config = deployment.config
     names = [one.name for one in config.placements]
-    return CircleDemo(deployment.bus, config.address_of(OPERATOR), config.world_name, names)
+    return CircleDemo(deployment.bus, config.address_of(OPERATOR), config.network.world_name, names)

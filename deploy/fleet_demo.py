@@ -88,7 +88,11 @@ def make_demo(deployment: LocalDeployment, behaviour: PoseBehaviour) -> FleetDem
     """Make the demo of the robots of a deployment."""
     config = deployment.config
     return FleetDemo(
-        deployment.bus, config.address_of(OPERATOR), config.world_name, config.placements, behaviour
+        deployment.bus,
+        config.address_of(OPERATOR),
+        config.network.world_name,
+        config.placements,
+        behaviour,
     )
 
 

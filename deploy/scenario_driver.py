@@ -26,9 +26,9 @@ class ScenarioDriver(UpDriver):
     ) -> None:
         config = deployment.config
         bus = open_bus(BusConfig(connect=(config.address_of(OPERATOR),)))
-        access = ServerAccess(bus, config.world_name)
+        access = ServerAccess(bus, config.network.world_name)
         self._sim = Sim(access)
-        self._others = OtherCommands(bus, config.world_name, access.client)
+        self._others = OtherCommands(bus, config.network.world_name, access.client)
         self._run = ScenarioRun(scenario, self._sim)
         self._run.spawn()
         self._end = find_end(scenario, math.inf)

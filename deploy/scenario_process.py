@@ -21,7 +21,7 @@ from queue import SimpleQueue
 import msgspec
 
 import zensim
-from zensim.api.connections import launch_configured
+from zensim.api.connections import ANY_PORT, launch_configured
 from zensim.api.local_deployment import LaunchConfig
 from zensim.api.simulation import Simulation
 from zensim.deploy.scenario_settings import add_scenario
@@ -40,10 +40,11 @@ from zensim.proto.child_process import (
 )
 from zensim.proto.endpoints import with_free_port
 from zensim.proto.process_limits import KILLED_STATUS, die_with_parent
-from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.settings.lockstep_settings import PATIENT
+from zensim.proto.settings.network_settings import NetworkSettings
+from zensim.proto.settings.ros_choice import HIDDEN, NAMESPACED, RosChoice, TfChoice
 from zensim.proto.settings.server_settings import ServerSettings
-from zensim.proto.settings.setting import change_settings
+from zensim.proto.settings.setting import change_settings, list_settings
 from zensim.scenario.run_host import describe_host
 from zensim.scenario.scenario_loading import open_world
 from zensim.scenario.scenario_nodes import ScenarioInvalid
@@ -66,7 +67,10 @@ MAX_RUNS_OF_COPY = 100
 """A copy grows by .05 MB a run."""
 START_TIMEOUT_S = 600.0
 """Wall time of the imports, which does not count as time of a run."""
-SETTINGS_OF_UP = ("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep")
+SETTINGS_OF_UP = (
+    *("listen", "connect", "wait", "journal", "viewer", "rtf", "lockstep"),
+    *(one.name for group in (RosChoice, TfChoice) for one in list_settings(group)),
+)
 """Options whose keys do not count in tests."""
 
 
@@ -167,14 +171,13 @@ def _open_world(scenario: Scenario, request: RunRequest) -> Simulation:
 def make_launch_config(scenario: Scenario) -> LaunchConfig:
     """Configure a paused server of its own with its agents, and sensor processes if wanted."""
     base = LaunchConfig(
-        endpoint=with_free_port("tcp/127.0.0.1:0"),
+        network=NetworkSettings(listen=with_free_port(ANY_PORT)),
         server=ServerSettings(lockstep=PATIENT),  # the scenario may say otherwise
-        ros=NO_ROS,
+        ros_choice=HIDDEN,
+        tf_choice=NAMESPACED,
     )
     config = add_scenario(base, scenario, dict.fromkeys(SETTINGS_OF_UP))
-    return msgspec.structs.replace(
-        config, server=change_settings(config.server, {"paused": True}), ros=NO_ROS
-    )
+    return change_settings(config, {"paused": True})
 
 
 def _describe(error: Exception) -> str:

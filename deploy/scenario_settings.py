@@ -12,34 +12,16 @@ from zensim.api.local_deployment import (
     LaunchConfig,
     choose_pool_count,
 )
-from zensim.proto.cli_options import RosTfOptions
 from zensim.proto.endpoints import with_free_port
-from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.settings.server_settings import ServerSettings
-from zensim.proto.settings.setting import change_settings, list_settings, read_key_value
-from zensim.scenario.scenario_format import AgentsSection
+from zensim.proto.settings.deployment_settings import DeploymentSettings, RateOverrides, UpSettings
+from zensim.proto.settings.setting import Group, change_settings, list_settings, read_key_value
 from zensim.scenario.scenario_reader import Scenario
+from zensim.scenario.setting_sections import AgentsSection
 
 Given = Mapping[str, object]
 """Options of the command line that were written, by name; they win over the file."""
 KEYS_OF_OPTIONS: Mapping[str, str] = {
-    "world_name": "world.name",
-    "listen": "network.listen",
-    "connect": "network.connect",
-    "wait": "network.wait",
-    "journal": "network.journal",
     "verbose": "network.verbose",
-    "ros_domain": "ros.domain",
-    "ros_distro": "ros.distro",
-    "ros_bridge": "ros.bridge",
-    "tf": "ros.tf",
-    "tf_root": "ros.tf_root",
-    "ros_topics": "ros.topics",
-    "ros_bridge_cmd_vel": "ros.bridge_cmd_vel",
-    "viewer": "viewer.show",
-    "viewer_port": "viewer.port",
-    "open_page": "viewer.open",
-    "sensors": "sensors.processes",
     "robots": "robots[0].count",
     "model": "robots[0].model",
     "controllers": "robots[0].controllers",
@@ -47,25 +29,11 @@ KEYS_OF_OPTIONS: Mapping[str, str] = {
     "layout": "robots[0].layout.kind",
     "spacing": "robots[0].layout.spacing",
     "agents": "agents[0].processes",
-    "odom_hz": "agents[0].odom_rate",
-    "tf_hz": "agents[0].tf_rate",
     "behaviour": "behaviours[0].do",
     "duration": "end.at",
-    **{one.name: one.setting.key for one in list_settings(ServerSettings)},
+    **{one.name: one.setting.key for one in list_settings(UpSettings) if one.setting.key},
 }
 """The key of each option of `zensim up` and `zensim serve`, with the first entry of lists."""
-FIELDS: Mapping[str, str] = {
-    "world_name": "world_name",
-    "listen": "endpoint",
-    "connect": "connect",
-    "wait": "wait_s",
-    "journal": "journal",
-    "verbose": "is_verbose",
-    "viewer": "has_viewer",
-    "viewer_port": "viewer_port",
-    "sensors": "sensor_processes",
-}
-"""The field of `LaunchConfig` of each option that has one of its own."""
 OF_THE_DEMO: Mapping[str, str] = {
     "robots": "--robots",
     "model": "--model",
@@ -76,10 +44,6 @@ OF_THE_DEMO: Mapping[str, str] = {
     "behaviour": "--behaviour",
 }
 """Options that describe robots without a file; with one, `--set` changes an entry by its name."""
-ROS_OPTIONS = (
-    *("ros_domain", "ros_distro", "ros_bridge", "tf", "tf_root"),
-    *("ros_topics", "ros_bridge_cmd_vel"),
-)
 NULL_MEANS_DEFAULT = None
 
 
@@ -120,30 +84,20 @@ def add_scenario(
         given: Options that win over the file.
     """
     given = given or {}
-    found: dict[str, object] = {}
-    for option, field in FIELDS.items():
-        key = KEYS_OF_OPTIONS[option]
-        if option in given or key not in scenario.places:
-            continue
-        value = scenario.find_value(key)
-        if value is not NULL_MEANS_DEFAULT:
-            found[field] = _convert(option, scenario, value)
-    completed: LaunchConfig = msgspec.structs.replace(
-        config, placements=(), model="box_bot", **found
-    )
+    completed = _complete_settings(config, scenario, given)
+    recorded = {"input_log": True} if scenario.format.record is not None else {}
+    is_verbose = config.is_verbose or scenario.format.network.verbose
     return msgspec.structs.replace(
-        completed,
-        server=add_to_settings(config.server, scenario, given),
-        ros=_find_ros(config.ros, scenario, given),
+        change_settings(completed, recorded),
+        placements=(),
+        model="box_bot",
         agents=make_agents(scenario, given),
-        keeps_inputs=config.keeps_inputs or scenario.format.record is not None,
+        is_verbose=is_verbose,
     )
 
 
-def add_to_settings(
-    settings: ServerSettings, scenario: Scenario, given: Container[str] = ()
-) -> ServerSettings:
-    """Complete the settings of a server by what a scenario writes.
+def _complete_settings(settings: Group, scenario: Scenario, given: Container[str] = ()) -> Group:
+    """Complete settings by what a scenario writes.
 
     Args:
         settings: From the command line.
@@ -152,8 +106,8 @@ def add_to_settings(
     """
     written = {
         field.name: _convert(field.name, scenario, read_key_value(field, value))
-        for field in list_settings(ServerSettings)
-        if field.name not in given and field.setting.key in scenario.places
+        for field in list_settings(DeploymentSettings)
+        if field.setting.key and field.name not in given and field.setting.key in scenario.places
         if (value := scenario.find_value(field.setting.key)) is not NULL_MEANS_DEFAULT
     }
     return change_settings(settings, written)
@@ -172,15 +126,6 @@ def refuse_options_of_the_demo(scenario: Scenario, given: Given) -> None:
             raise ValueError(f"{spelling} does not apply to a scenario file; use --set {key}=VALUE")
 
 
-def _find_ros(ros: RosSettings, scenario: Scenario, given: Given) -> RosSettings:
-    keys = {option: KEYS_OF_OPTIONS[option] for option in ROS_OPTIONS}
-    if not any(key in scenario.places for key in keys.values()):
-        return ros
-    found = {option: given.get(option, scenario.find_value(key)) for option, key in keys.items()}
-    texts = {option: str(value) for option, value in found.items() if not isinstance(value, bool)}
-    return RosTfOptions(**texts, ros_bridge=bool(found["ros_bridge"])).ros
-
-
 def make_agents(scenario: Scenario, given: Given | None = None) -> LaunchAgentsConfig:
     """Choose the agents: pools for all robots, or processes for the robots of each entry."""
     entries, given = scenario.format.agents, given or {}
@@ -194,7 +139,7 @@ def make_agents(scenario: Scenario, given: Given | None = None) -> LaunchAgentsC
         chosen = choose_pool_count(max(1, len(driven)), os.cpu_count() or 1)
         return LaunchAgentsConfig(
             chosen if "agents" in given or first.processes is None else first.processes,
-            *_find_rates(first, given),
+            _find_rates(first, given),
             drives_others=True,
         )
     return LaunchAgentsConfig(
@@ -222,10 +167,10 @@ def _make_groups(scenario: Scenario, driven: Sequence[str], given: Given) -> lis
         for number in range(count):
             name = entry.name if count == 1 else f"{entry.name} {number}"
             rates = _find_rates(entry, given)
-            groups.append(AgentGroup(name, tuple(own[number::count]), *rates))
+            groups.append(AgentGroup(name, tuple(own[number::count]), rates))
     return groups
 
 
-def _find_rates(entry: AgentsSection, given: Given) -> tuple[float | None, float | None]:
-    odom, tf = given.get("odom_hz", entry.odom_rate), given.get("tf_hz", entry.tf_rate)
-    return odom, tf  # type: ignore[return-value]  # numbers of the command line
+def _find_rates(entry: AgentsSection, given: Given) -> RateOverrides:
+    rates = RateOverrides(entry.odom_rate, entry.tf_rate)
+    return change_settings(rates, given)

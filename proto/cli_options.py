@@ -6,21 +6,22 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, get_args
 
-import msgspec
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import TOKEN_VARIABLE
-from zensim.proto.metrics_address import check_metrics_exposure
-from zensim.proto.ros2.ros_settings import BRIDGED_COMMANDS, RosSettings, parse_ros_settings
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.settings.engine_settings import EngineChoice
+from zensim.proto.settings.network_settings import NetworkSettings
+from zensim.proto.settings.ros_choice import USUAL_ROS, USUAL_TF, RosChoice, TfChoice
 from zensim.proto.settings.setting import (
     find_setting,
     is_settings,
@@ -28,7 +29,7 @@ from zensim.proto.settings.setting import (
     make_settings,
 )
 from zensim.proto.settings.setting_options import make_option, make_option_parameters
-from zensim.proto.topic_catalog import select_ros_topics
+from zensim.proto.topic_catalog import read_ros_settings
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE, set_verbosity
 from zensim.proto.web_access import (
     TOKEN_NAME,
@@ -172,8 +173,8 @@ def name_settings(name: str, kind: object) -> dict[str, str]:
 def name_group(group: type) -> dict[str, str]:
     """Name the settings of the options of a dataclass; see `name_settings`."""
     found: dict[str, str] = {}
-    for field in _list_fields(group):
-        found |= name_settings(field.name, field.type)
+    for one in _make_parameters(group):
+        found |= name_settings(one.name, one.annotation)
     return found
 
 
@@ -234,11 +235,15 @@ def _apply_verbosity(
 def _make_parameters(group: type) -> list[inspect.Parameter]:
     return [
         parameter
-        for field in dataclasses.fields(group)
+        for field in _list_fields(group)
         for parameter in (
             make_option_parameters(field.type) if is_settings(field.type) else [_copy(field)]
         )
     ]
+
+
+def _list_fields(group: type) -> tuple["dataclasses.Field[Any]", ...]:
+    return dataclasses.fields(group)
 
 
 def _copy(field: "dataclasses.Field[Any]") -> inspect.Parameter:
@@ -251,14 +256,14 @@ def _copy(field: "dataclasses.Field[Any]") -> inspect.Parameter:
     )
 
 
-def _make_group(group: type, given: dict[str, object]) -> object:
+def _make_group(group: type[Options], given: dict[str, object]) -> Options:
     """Make a dataclass from its options, which are taken out.
 
     Raises:
         ValueError: A setting is out of range, or no word that it may have.
     """
     values: dict[str, object] = {}
-    for field in dataclasses.fields(group):
+    for field in _list_fields(group):
         if is_settings(field.type):
             names = [one.name for one in list_settings(field.type)]
             values[field.name] = make_settings(
@@ -304,47 +309,49 @@ def parse_plain_options(
         words: After the name of the command.
         environment: Variables that may stand for options.
     """
-    options = _index_options(group)
-    left = [field for field in _list_fields(group) if _is_argument(field)]
+    parameters = _make_parameters(group)
+    options = _index_options(parameters)
+    left = [one for one in parameters if _is_argument(one)]
     if any(environment.get(name) for _, info in options.values() for name in _list_variables(info)):
         return None
     given: dict[str, Any] = {}
     rest = list(words)
     while rest:
         word = rest.pop(0)
-        field, _ = options.get(word, (None, None))
-        if field is None and left and not word.startswith("-"):
+        option, _ = options.get(word, (None, None))
+        if option is None and left and not word.startswith("-"):
             _add_argument(given, left, word)
-        elif field is not None and get_args(field.type)[0] is bool:
-            given[field.name] = True
+        elif option is not None and get_args(option.annotation)[0] is bool:
+            given[option.name] = True
         elif not (
-            field is not None
+            option is not None
             and rest
             and not rest[0].startswith("-")
-            and _add_value(given, field, rest.pop(0))
+            and _add_value(given, option, rest.pop(0))
         ):
             return None
-    is_complete = all(field.default is not dataclasses.MISSING for field in left)
-    return group(**given) if is_complete else None
+    if any(one.default is inspect.Parameter.empty for one in left):
+        return None
+    with suppress(ValueError):
+        return _make_group(group, {one.name: one.default for one in parameters} | given)
+    return None
 
 
-def _list_fields(group: type) -> tuple["dataclasses.Field[Any]", ...]:
-    return dataclasses.fields(group)
-
-
-def _index_options(group: type) -> dict[str, tuple["dataclasses.Field[Any]", OptionInfo]]:
+def _index_options(
+    parameters: Iterable[inspect.Parameter],
+) -> dict[str, tuple[inspect.Parameter, OptionInfo]]:
     """Index the options that can be parsed without typer by their spellings."""
     found = {}
-    for field in _list_fields(group):
-        kind, info = get_args(field.type)
+    for one in parameters:
+        kind, info = get_args(one.annotation)
         if isinstance(info, OptionInfo) and (kind is bool or kind in PLAIN_TYPES):
-            spellings = _list_spellings(info) or [f"--{field.name.replace('_', '-')}"]
-            found.update(dict.fromkeys(spellings, (field, info)))
+            spellings = _list_spellings(info) or [f"--{one.name.replace('_', '-')}"]
+            found.update(dict.fromkeys(spellings, (one, info)))
     return found
 
 
-def _is_argument(field: "dataclasses.Field[Any]") -> bool:
-    kind, info = get_args(field.type)
+def _is_argument(one: inspect.Parameter) -> bool:
+    kind, info = get_args(one.annotation)
     return isinstance(info, ArgumentInfo) and kind in {str, list[str] | None}
 
 
@@ -353,25 +360,25 @@ def _list_variables(info: OptionInfo) -> Sequence[str]:
     return (names,) if isinstance(names, str) else names
 
 
-def _add_argument(given: dict[str, Any], left: list["dataclasses.Field[Any]"], word: str) -> None:
+def _add_argument(given: dict[str, Any], left: list[inspect.Parameter], word: str) -> None:
     """Give a word to the first argument that is left; a list stays for the words that follow."""
-    if get_args(left[0].type)[0] is str:
+    if get_args(left[0].annotation)[0] is str:
         given[left.pop(0).name] = word
     else:
         given.setdefault(left[0].name, []).append(word)
 
 
-def _add_value(given: dict[str, Any], field: "dataclasses.Field[Any]", word: str) -> bool:
+def _add_value(given: dict[str, Any], option: inspect.Parameter, word: str) -> bool:
     """Convert the value of an option; False if it is not one."""
-    kind = get_args(field.type)[0]
+    kind = get_args(option.annotation)[0]
     try:
         value = PLAIN_TYPES[kind](word)
     except ValueError:
         return False
     if kind in {list[str] | None, list[Path] | None}:
-        given.setdefault(field.name, []).append(value)
+        given.setdefault(option.name, []).append(value)
     else:
-        given[field.name] = value
+        given[option.name] = value
     return True
 
 
@@ -401,39 +408,8 @@ ConnectOption = Annotated[
         envvar=[TOKEN_VARIABLE, "ZENSIM_CONNECT"],
     ),
 ]
-SecureOption = Annotated[
-    bool,
-    _connection(
-        "--secure",
-        metavar="",
-        help="Admit only users with a join token, over TLS; makes certificates and tokens.",
-    ),
-]
-ClientCertificatesOption = Annotated[
-    bool,
-    _connection(
-        "--client-certificates",
-        metavar="",
-        help="With --secure: ask clients for a certificate, too; tokens are longer.",
-    ),
-]
-InsecureOption = Annotated[
-    bool,
-    _connection(
-        "--insecure",
-        metavar="",
-        help="Admit everybody who reaches the endpoint, also from other hosts.",
-    ),
-]
-WorldNameOption = Annotated[
-    str,
-    _connection(
-        "--world-name",
-        metavar="NAME",
-        help="Name of the world on the network.",
-        envvar="ZENSIM_WORLD",
-    ),
-]
+InsecureOption = Annotated[bool, make_option(find_setting(NetworkSettings, "insecure"))]
+WorldNameOption = Annotated[str, make_option(find_setting(NetworkSettings, "world_name"))]
 TimeoutOption = Annotated[
     float, _connection("--timeout", metavar="SECONDS", help=r"Timeout of each service call \[s].")
 ]
@@ -472,47 +448,6 @@ ADDED_SWITCHES: Final = (
 """Options that each command has: name, type, default."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MetricsOptions:
-    """Where a program serves its health and metrics."""
-
-    metrics: Annotated[
-        str,
-        typer.Option(
-            "--metrics",
-            metavar="[HOST:]PORT",
-            help="Serve /livez, /readyz and /metrics by http here; without a host on 127.0.0.1.",
-            show_default="not served",
-            rich_help_panel="Operation",
-        ),
-    ] = ""
-    metrics_insecure: Annotated[
-        bool,
-        typer.Option(
-            "--metrics-insecure",
-            metavar="",
-            help="Serve --metrics to other hosts, too, without TLS or a token.",
-            rich_help_panel="Operation",
-        ),
-    ] = False
-
-    def choose_metrics(self, command: str, *, is_insecure: bool = False) -> str:
-        """Return where they are served; empty = not at all.
-
-        Args:
-            command: To type, with its verb.
-            is_insecure: Whether the program serves every client anyway.
-
-        Raises:
-            Exposed: Other hosts could read them, and no option permits it.
-            UnusableMetrics: The address is not valid.
-        """
-        check_metrics_exposure(
-            command, self.metrics, is_insecure=self.metrics_insecure or is_insecure
-        )
-        return self.metrics
-
-
 AllowFailedEngineOption = Annotated[
     bool, make_option(find_setting(EngineChoice, "allow_failed_engine"))
 ]
@@ -520,79 +455,7 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Value that wins over the file; repeatable."),
 ]
-OdomHzOption = Annotated[
-    float | None,
-    typer.Option(
-        "--odom-hz",
-        min=0.0,
-        metavar="HZ",
-        rich_help_panel="Telemetry",
-        help=r"Odometry rate \[Hz, simulation time]; 0 = every state.",
-        show_default="from the robot description",
-    ),
-]
-TfHzOption = Annotated[
-    float | None,
-    typer.Option(
-        "--tf-hz",
-        min=0.0,
-        metavar="HZ",
-        rich_help_panel="Telemetry",
-        help=r"Rate of tf \[Hz, simulation time]; 0 = every state.",
-        show_default="--odom-hz, or from the robot description",
-    ),
-]
-
-_ros = partial(typer.Option, rich_help_panel="ROS 2")
-RosDomainOption = Annotated[
-    str,
-    _ros(
-        metavar="ID|off",
-        help="ROS 2 domain ID, 0 to 232; off = no ROS 2 topics and services.",
-        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
-    ),
-]
-RosDistroOption = Annotated[
-    str,
-    _ros(
-        metavar="NAME",
-        help="ROS 2 distribution of the other nodes; only humble uses different keys.",
-    ),
-]
-RosBridgeOption = Annotated[
-    bool,
-    flag("--ros-bridge", help="Also announce to zenoh-bridge-ros2dds.", rich_help_panel="ROS 2"),
-]
-RosTopicsOption = Annotated[
-    str,
-    _ros(
-        metavar="NAMES",
-        help="Topics of robots in ROS 2, separated by commas, such as odom,tf,scan,cmd_vel; "
-        "'parameters' stands for the parameter services. Others stay on their Zenoh keys.",
-        show_default="all",
-    ),
-]
-RosBridgeCmdVelOption = Annotated[
-    str,
-    _ros(
-        metavar="twist|twist_stamped",
-        help="Type of cmd_vel that zenoh-bridge-ros2dds sees; it routes one type a topic.",
-    ),
-]
-TfScopeOption = Annotated[
-    str,
-    _ros(
-        metavar="global|namespaced|both",
-        help="Publish tf on /tf (global), on /NS/tf (namespaced), or on both.",
-    ),
-]
-TfRootOption = Annotated[
-    str,
-    _ros(
-        metavar="FRAME|off",
-        help="Parent frame of the odometry frames of all robots on /tf_static; off = none.",
-    ),
-]
+RosDomainOption = Annotated[str, make_option(find_setting(RosChoice, "ros_domain"))]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -683,38 +546,25 @@ class ClientOptions(ConnectionOptions):
 class RosOptions:
     """ROS 2 options of a program that does not publish tf."""
 
-    ros_domain: RosDomainOption = "0"
-    ros_distro: RosDistroOption = "jazzy"
-    ros_bridge: RosBridgeOption = False
-    ros_topics: RosTopicsOption = ""
+    ros_choice: RosChoice = USUAL_ROS
 
     @property
     def ros(self) -> RosSettings:
         """Settings made from the options.
 
         Raises:
-            ValueError: See `parse_ros_settings` and `select_ros_topics`.
+            ValueError: See `read_ros_settings`.
         """
-        settings = parse_ros_settings(self.ros_domain, self.ros_distro, is_bridged=self.ros_bridge)
-        return select_ros_topics(settings, self.ros_topics)
+        return read_ros_settings(self.ros_choice)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RosTfOptions(RosOptions):
     """ROS 2 options of a program that publishes tf."""
 
-    tf: TfScopeOption = "both"
-    tf_root: TfRootOption = "world"
-    ros_bridge_cmd_vel: RosBridgeCmdVelOption = "twist"
+    tf_choice: TfChoice = USUAL_TF
 
     @property
     def ros(self) -> RosSettings:
         """See `RosOptions`."""
-        settings = parse_ros_settings(
-            self.ros_domain, self.ros_distro, self.tf, self.tf_root, is_bridged=self.ros_bridge
-        )
-        command = parse_choice(
-            "--ros-bridge-cmd-vel", self.ros_bridge_cmd_vel, tuple(BRIDGED_COMMANDS)
-        )
-        settings = msgspec.structs.replace(settings, bridge_cmd_vel=command)
-        return select_ros_topics(settings, self.ros_topics)
+        return read_ros_settings(self.ros_choice, self.tf_choice)

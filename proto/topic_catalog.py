@@ -49,7 +49,8 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.messages.telemetry_messages import AuditRecord, Event, Snapshot, Stats, WorldClock
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import RosTopic
-from zensim.proto.ros2.ros_settings import PARAMETERS, RosSettings
+from zensim.proto.ros2.ros_settings import PARAMETERS, RosSettings, parse_ros_settings
+from zensim.proto.settings.ros_choice import USUAL_TF, RosChoice, TfChoice
 
 
 class TopicScope(Enum):
@@ -580,6 +581,15 @@ def find_robot_topic(key: str) -> TopicSpec | None:
         if (found := ROBOT_TOPICS.get("/".join(parts[start:]))) is not None:
             return found
     return None
+
+
+def read_ros_settings(ros: RosChoice, tf: TfChoice = USUAL_TF) -> RosSettings:
+    """Read the ROS 2 settings of a program from what a user chose.
+
+    Raises:
+        ValueError: See `parse_ros_settings` and `select_ros_topics`.
+    """
+    return select_ros_topics(parse_ros_settings(ros, tf), ros.ros_topics)
 
 
 def select_ros_topics(settings: RosSettings, names: str) -> RosSettings:

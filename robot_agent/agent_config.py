@@ -8,15 +8,7 @@ import msgspec
 from zensim.proto.messages.agent_messages import Claim, OnRelease
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
-
-
-class RateOverrides(msgspec.Struct, frozen=True):
-    """Rates [Hz, simulation time]; 0 = at every drive state, None = as described."""
-
-    odom_hz: float | None = None
-    tf_hz: float | None = None
-    """None = as described, else with odometry."""
-
+from zensim.proto.settings.deployment_settings import RateOverrides
 
 AS_DESCRIBED = RateOverrides()
 

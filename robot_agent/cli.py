@@ -8,10 +8,8 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
-    MetricsOptions,
-    OdomHzOption,
     RosTfOptions,
-    TfHzOption,
+    WorldNameOption,
     expand_options,
     flag,
     make_app,
@@ -22,9 +20,11 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
+from zensim.proto.settings.deployment_settings import RateOverrides
+from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.verbosity import print_announcement
 from zensim.robot_agent.agent import run_agent_process
-from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
+from zensim.robot_agent.agent_config import AS_DESCRIBED, AgentConfig, AgentProcessConfig
 
 app = make_app()
 
@@ -32,7 +32,7 @@ ON_RELEASE: tuple[OnRelease, ...] = get_args(OnRelease)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentOptions(RosTfOptions, MetricsOptions):
+class AgentOptions(RosTfOptions):
     """All options of `zensim agent`."""
 
     entities: Annotated[
@@ -60,8 +60,8 @@ class AgentOptions(RosTfOptions, MetricsOptions):
             help=r"Stop a robot this long after its last cmd_vel \[s, simulation time]; 0 = never.",
         ),
     ] = 0.5
-    odom_hz: OdomHzOption = None
-    tf_hz: TfHzOption = None
+    rates: RateOverrides = AS_DESCRIBED
+    operation: MetricsSettings = USUAL_METRICS
     on_release: Annotated[
         str,
         typer.Option(
@@ -72,16 +72,7 @@ class AgentOptions(RosTfOptions, MetricsOptions):
     as_json: JsonOption = False
     quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
     connect: ConnectOption = ""
-    world_name: Annotated[
-        str,
-        typer.Option(
-            "--world-name",
-            metavar="NAME",
-            help="Name of the world on the network.",
-            envvar="ZENSIM_WORLD",
-            rich_help_panel="Connection",
-        ),
-    ] = "default"
+    world_name: WorldNameOption = "default"
     wait: Annotated[
         float,
         typer.Option(
@@ -115,7 +106,7 @@ def agent(given: AgentOptions) -> None:
                 endpoint=endpoint,
                 config=_make_config(given),
                 is_quiet=given.quiet,
-                metrics=given.choose_metrics("zensim agent"),
+                metrics=given.operation.choose_metrics("zensim agent"),
             )
         )
 
@@ -126,7 +117,7 @@ def _make_config(given: AgentOptions) -> AgentConfig:
         agent=check_name(given.name, "agent") if given.name else "",
         entities=_check_entities(given.entities or [], given.pool),
         pool_limit=given.pool,
-        rates=RateOverrides(given.odom_hz, given.tf_hz),
+        rates=given.rates,
         wait_s=given.wait,
         cmd_vel_timeout_s=given.cmd_vel_timeout,
         on_release=parse_choice("--on-release", given.on_release, ON_RELEASE),

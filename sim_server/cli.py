@@ -3,8 +3,6 @@
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -13,13 +11,8 @@ import typer
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cli_options import (
-    ClientCertificatesOption,
-    InsecureOption,
     JsonOption,
-    MetricsOptions,
     RosOptions,
-    SecureOption,
-    WorldNameOption,
     expand_options,
     flag,
     is_exported_for_clients,
@@ -27,7 +20,6 @@ from zensim.proto.cli_options import (
     takes_precedence,
 )
 from zensim.proto.endpoints import (
-    DEFAULT_ENDPOINT,
     check_exposure,
     to_client_endpoint,
     with_free_port,
@@ -36,7 +28,10 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
-from zensim.proto.settings.server_settings import USUAL_SERVER, ServerSettings
+from zensim.proto.settings.deployment_settings import USUAL
+from zensim.proto.settings.network_settings import NetworkSettings
+from zensim.proto.settings.operation_settings import OperationSettings
+from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied
 from zensim.proto.verbosity import configure_logging, print_announcement, print_note
@@ -66,62 +61,16 @@ from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 app = make_app()
 
 
-_connection = partial(typer.Option, rich_help_panel="Connection")
-
-
 @dataclass(frozen=True, kw_only=True)
-class ServeOptions(RosOptions, MetricsOptions):
+class ServeOptions(RosOptions):
     """All options of `zensim serve`."""
 
-    server: ServerSettings = USUAL_SERVER
-    journal: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Record changes in this folder, and restore the world that it contains.",
-            show_default="no journal",
-            envvar="ZENSIM_JOURNAL",
-        ),
-    ] = None
-    input_log: Annotated[
-        bool,
-        flag("--input-log", help="Keep all inputs from the start for 'zensim record' and 'resim'."),
-    ] = False
+    server: ServerSettings = USUAL.server
+    network: NetworkSettings = USUAL.network
+    operation: OperationSettings = USUAL.operation
     as_json: JsonOption = False
     announce: Annotated[bool, flag("--announce", hidden=True)] = False
     """Whether a program starts this one: prints as JSON what is served, and failures as text."""
-    listen: Annotated[
-        str,
-        _connection(
-            metavar="ENDPOINT",
-            help="Zenoh endpoint to listen on; the server is its own router.",
-            show_default=DEFAULT_ENDPOINT,
-        ),
-    ] = ""
-    connect: Annotated[
-        str,
-        _connection(
-            metavar="ENDPOINT",
-            help="Connect to this Zenoh router instead of listening.",
-            envvar="ZENSIM_CONNECT",
-        ),
-    ] = ""
-    secure: SecureOption = False
-    client_certificates: ClientCertificatesOption = False
-    insecure: InsecureOption = False
-    mesh_http: Annotated[
-        str,
-        _connection(
-            metavar="HOST:PORT",
-            help="Offer meshes of robots by http here, and name them so in descriptions for RViz.",
-            show_default="descriptions name them as given",
-        ),
-    ] = ""
-    wait: Annotated[
-        float,
-        _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
-    ] = 30.0
-    world_name: WorldNameOption = "default"
 
 
 @app.command(
@@ -134,11 +83,7 @@ class ServeOptions(RosOptions, MetricsOptions):
 def serve(context: typer.Context, given: ServeOptions) -> None:
     """Start a simulation server, until Ctrl-C."""
     configure_logging()
-    is_for_clients = is_exported_for_clients(context, "ZENSIM_SERVE_CONNECT")
-    if given.listen and (is_for_clients or takes_precedence(context, "listen", over="connect")):
-        given = replace(given, connect="")
-    elif given.connect and takes_precedence(context, "connect", over="listen"):
-        given = replace(given, listen="")
+    given = replace(given, network=_choose_endpoint(context, given.network))
     stop = StopFlag()
     with exit_on_failure("serve", MissingServerExtra, ProgramDied, BusError), ExitStack() as stack:
         config = _make_server_config(given)
@@ -146,12 +91,12 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
         check_exposure(
             "zensim serve",
             (*(config.bus.listen if config.bus else ()), *meshes),
-            is_secure=given.secure,
-            is_insecure=given.insecure,
+            is_secure=given.network.secure,
+            is_insecure=given.network.insecure,
         )
-        if given.client_certificates and not given.secure:
+        if given.network.client_certificates and not given.network.secure:
             raise ValueError("--client-certificates needs --secure; add it")
-        folder = _prepare_folder(given) if given.secure else None
+        folder = _prepare_folder(given) if given.network.secure else None
         if folder is not None:
             from zensim.sim_server.server import import_served_world
 
@@ -163,34 +108,46 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
         _run_server(config, stop, folder=folder, given=given)
 
 
+def _choose_endpoint(context: typer.Context, network: NetworkSettings) -> NetworkSettings:
+    """Choose between an endpoint to listen on and one to connect to, by their sources."""
+    is_for_clients = is_exported_for_clients(context, "ZENSIM_SERVE_CONNECT")
+    if network.listen and (is_for_clients or takes_precedence(context, "listen", over="connect")):
+        return msgspec.structs.replace(network, connect="")
+    if network.connect and takes_precedence(context, "connect", over="listen"):
+        return msgspec.structs.replace(network, listen="")
+    return network
+
+
 def _prepare_folder(given: ServeOptions) -> SecureFolder:
-    if given.connect:
+    network = given.network
+    if network.connect:
         raise ValueError("--secure and --connect exclude each other; a secured server has a router")
-    listen = with_free_port(to_secure_endpoint(given.listen or DEFAULT_SECURE_ENDPOINT))
+    listen = with_free_port(to_secure_endpoint(network.listen or DEFAULT_SECURE_ENDPOINT))
     with server_extra():
         return prepare_secure_folder(
             SecureSettings(
-                check_name(given.world_name, "world"),
+                check_name(network.world_name, "world"),
                 given.ros.domain,
                 listen,
-                given.client_certificates,
+                network.client_certificates,
             )
         )
 
 
 def _make_server_config(given: ServeOptions) -> ServerConfig:
-    if given.listen and given.connect:
+    network, operation = given.network, given.operation
+    if network.listen and network.connect:
         raise ValueError("--listen and --connect exclude each other; give one of them")
     return ServerConfig(
-        bus=make_server_bus_config(given.listen, given.connect),
-        world_name=given.world_name,
+        bus=make_server_bus_config(network.listen, network.connect),
+        world_name=network.world_name,
         settings=given.server,
-        wait_s=given.wait,
-        journal=str(given.journal or ""),
-        keeps_inputs=given.input_log,
+        wait_s=network.wait,
+        journal=str(operation.journal or ""),
+        keeps_inputs=operation.input_log,
         ros=given.ros,
-        mesh_http=given.mesh_http,
-        metrics=given.choose_metrics("zensim serve", is_insecure=given.insecure),
+        mesh_http=network.mesh_http,
+        metrics=operation.choose_metrics("zensim serve", is_insecure=network.insecure),
     )
 
 

@@ -8,7 +8,6 @@ import typer
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
-    MetricsOptions,
     RosOptions,
     WorldNameOption,
     expand_options,
@@ -18,6 +17,7 @@ from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.names import check_name
+from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
@@ -27,7 +27,7 @@ __all__ = ["app"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorRunOptions(RosOptions, MetricsOptions):
+class SensorRunOptions(RosOptions):
     """All options of `zensim sensors run`."""
 
     name: Annotated[
@@ -40,6 +40,7 @@ class SensorRunOptions(RosOptions, MetricsOptions):
     ] = False
     quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
     as_json: JsonOption = False
+    operation: MetricsSettings = USUAL_METRICS
     connect: ConnectOption = ""
     world_name: WorldNameOption = "default"
     wait: Annotated[
@@ -77,6 +78,6 @@ def run(given: SensorRunOptions) -> None:
                 wait_s=given.wait,
                 ros=given.ros,
                 is_quiet=given.quiet,
-                metrics=given.choose_metrics("zensim sensors run"),
+                metrics=given.operation.choose_metrics("zensim sensors run"),
             )
         )

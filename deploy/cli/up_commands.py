@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from errno import EEXIST
 from functools import partial
 from math import isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -19,7 +18,6 @@ import typer
 
 from zensim.api.local_deployment import (
     OPERATOR,
-    PAGE_ROLES,
     RECORDER,
     VIEWER,
     LaunchAgentsConfig,
@@ -38,10 +36,8 @@ from zensim.api.local_deployment import (
 from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, MovingBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
 from zensim.proto.cli_options import (
-    OdomHzOption,
     RosTfOptions,
     SetOption,
-    TfHzOption,
     expand_options,
     is_exported_for_clients,
     make_app,
@@ -54,10 +50,19 @@ from zensim.proto.names import check_name
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.setting_variables import name_variable
+from zensim.proto.settings.deployment_settings import (
+    MAX_AGENT_PROCESSES,
+    USUAL,
+    AgentSettings,
+    ProgramSettings,
+    RateOverrides,
+    ViewerSettings,
+)
 from zensim.proto.settings.path_completion import complete_models
-from zensim.proto.settings.setting import read_settings
+from zensim.proto.settings.setting import change_settings, read_settings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
+from zensim.proto.topic_catalog import read_ros_settings
 from zensim.proto.verbosity import CURRENT
 from zensim.proto.web_access import split_token
 from zensim.sim_server.cli import ServeOptions, print_users
@@ -89,11 +94,6 @@ app = make_app()
 
 console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], "UpDriver"]
-MAX_AGENT_PROCESSES = 20
-"""Default limit of one agent process per robot; each takes 11 MB."""
-
-_agents = partial(typer.Option, rich_help_panel="Agents")
-_viewer = partial(typer.Option, rich_help_panel="Viewer")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,53 +128,9 @@ class UpOptions(RosTfOptions, ServeOptions):
             help=r"Exit after this time, counted from ready \[s]; 0 = run until Ctrl-C.",
         ),
     ] = 0.0
-    listen: Annotated[
-        str,
-        typer.Option(
-            "--listen",
-            metavar="ENDPOINT",
-            help="Zenoh endpoint to listen on; port 0 = any free port.",
-            rich_help_panel="Connection",
-        ),
-    ] = DEFAULT_ENDPOINT
-    agents: Annotated[
-        str,
-        _agents(
-            "--agents",
-            metavar="per-robot|pooled",
-            help="One agent process per robot, or a few that drive many robots each.",
-            show_default=f"per-robot up to {MAX_AGENT_PROCESSES} robots",
-        ),
-    ] = ""
-    drive_others: Annotated[
-        bool,
-        _agents(
-            "--drive-others/--no-drive-others",
-            metavar="",
-            help="Drive robots that others spawn, by a pool that starts with the first of them.",
-            show_default="drive-others without a scenario",
-        ),
-    ] = True
-    odom_hz: OdomHzOption = None
-    tf_hz: TfHzOption = None
-    sensors: Annotated[
-        int | None,
-        typer.Option(
-            "--sensors",
-            min=0,
-            metavar="N",
-            help="Number of processes that publish lidars and cameras; idle without subscribers.",
-            show_default="1, from the first robot that has one",
-        ),
-    ] = None
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            "--record",
-            metavar="FOLDER|FILE.mcap",
-            help="Record all topics there, as 'zensim record --all' does.",
-        ),
-    ] = None
+    agents: AgentSettings = USUAL.agents
+    rates: RateOverrides = USUAL.rates
+    programs: ProgramSettings = USUAL.programs
     behaviour: Annotated[
         str,
         typer.Option(
@@ -183,30 +139,7 @@ class UpOptions(RosTfOptions, ServeOptions):
             help="What each robot does until something commands it.",
         ),
     ] = "circle"
-    viewer: Annotated[
-        bool, _viewer("--viewer/--no-viewer", metavar="", help="Serve the 3D web page.")
-    ] = True
-    viewer_port: Annotated[
-        int, _viewer("--port", metavar="PORT", help="TCP port of the page; 0 = any free.")
-    ] = 8080
-    page_role: Annotated[
-        str,
-        _viewer(
-            "--page-role",
-            metavar="page|operator",
-            help="With --secure: visitors of the page look, or act as an operator.",
-            show_default="page",
-        ),
-    ] = ""
-    open_page: Annotated[
-        bool | None,
-        _viewer(
-            "--open/--no-open",
-            metavar="",
-            help="Open the page in a browser.",
-            show_default="open on a desktop",
-        ),
-    ] = None
+    viewer: ViewerSettings = USUAL.viewer
 
 
 @app.command(
@@ -221,12 +154,12 @@ def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()
     if is_exported_for_clients(context, name_variable("up", "connect")):
-        given = replace(given, connect="")
+        given = replace(given, network=msgspec.structs.replace(given.network, connect=""))
     also = (LaunchFailed, ProgramDied, NotRecorded, MissingViewerExtra, MissingServerExtra)
     with exit_on_failure("up", *also):
         plan = _make_plan(context, given)
-        if plan.config.has_viewer:
-            check_page(plan.config.viewer_port)
+        if plan.config.viewer.viewer:
+            check_page(plan.config.viewer.viewer_port)
         require_no_recording(plan.config)
         plan = replace(plan, config=secure_deployment(plan.config))
         _launch_and_run(plan, began_s, given.duration, as_json=given.as_json)
@@ -238,13 +171,11 @@ class UpPlan:
 
     Attributes:
         drive_robots: Makes what drives the robots once all programs run.
-        open_page: Whether to open a browser; None = on a desktop.
         names: Of the robots.
     """
 
     config: LaunchConfig
     drive_robots: DriverMaker | None
-    open_page: bool | None
     names: tuple[str, ...]
 
 
@@ -257,9 +188,9 @@ def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
     _refuse_pools_that_drive_others(config, given)
     names = tuple(one.name for one in config.placements)
     if behaviour == "none" or not names:
-        return UpPlan(config, None, given.open_page, names)
+        return UpPlan(config, None, names)
     demo = partial(_make_demo, behaviour, is_quiet=given.as_json)
-    return UpPlan(config, demo, given.open_page, names)
+    return UpPlan(config, demo, names)
 
 
 def _make_scenario_plan(context: typer.Context, given: UpOptions, config: LaunchConfig) -> UpPlan:
@@ -272,14 +203,13 @@ def _make_scenario_plan(context: typer.Context, given: UpOptions, config: Launch
     config = add_scenario(config, scenario, written)
     _refuse_pools_that_drive_others(config, given)
     _refuse_two_endpoints(config, scenario)
-    open_page = given.open_page if "open_page" in written else scenario.format.viewer.open
     maker = partial(_make_scenario_driver, scenario)
-    return UpPlan(config, maker, open_page, tuple(scenario.robot_names))
+    return UpPlan(config, maker, tuple(scenario.robot_names))
 
 
 def _refuse_two_endpoints(config: LaunchConfig, scenario: "Scenario") -> None:
     places = scenario.places
-    if config.connect and {"network.listen", "network.connect"} <= places.keys():
+    if config.network.connect and {"network.listen", "network.connect"} <= places.keys():
         raise ValueError(
             f"{places['network.connect']}: network.listen and network.connect exclude each other; "
             "remove one"
@@ -288,7 +218,9 @@ def _refuse_two_endpoints(config: LaunchConfig, scenario: "Scenario") -> None:
 
 def _list_written(context: typer.Context, given: UpOptions) -> dict[str, object]:
     """List the options that the command line or a variable sets, with their values."""
-    values = {**vars(given), **read_settings(given.server)}
+    values: dict[str, object] = {}
+    for name, value in vars(given).items():
+        values |= read_settings(value) if isinstance(value, msgspec.Struct) else {name: value}
     sources = {name: context.get_parameter_source(name) for name in values}
     written = {
         name: value
@@ -330,38 +262,24 @@ def _make_demo(
 
 def make_config(given: UpOptions) -> LaunchConfig:
     """Make the settings of a deployment; raise `ValueError` if an option is not valid."""
-    return msgspec.structs.replace(
-        _make_server_config(given),
-        agents=_choose_agents(given),
-        sensor_processes=given.sensors,
-        recording=str(given.record or ""),
-        keeps_inputs=given.input_log,
-        has_viewer=given.viewer,
-        viewer_port=given.viewer_port,
-        page_role=parse_choice("--page-role", given.page_role, PAGE_ROLES),
-        is_verbose=CURRENT.is_verbose,
-    )
-
-
-def _make_server_config(given: UpOptions) -> LaunchConfig:
-    """Make the settings of robots and server."""
+    given.operation.choose_metrics("zensim up", is_insecure=given.network.insecure)
+    check_name(given.network.world_name, "world name")
+    read_ros_settings(given.ros_choice, given.tf_choice)
+    listen = with_free_port(given.network.listen or DEFAULT_ENDPOINT)
     return LaunchConfig(
         placements=_make_placements(given),
         model=given.model,
         controllers=tuple(given.controllers or ()),
         drive=parse_drive_order(given.drive),
-        world_name=check_name(given.world_name, "world name"),
-        endpoint=with_free_port(given.listen),
+        agents=_choose_agents(given),
+        network=msgspec.structs.replace(given.network, listen=listen),
+        operation=given.operation,
         server=given.server,
-        connect=given.connect,
-        is_secure=given.secure,
-        uses_certificates=given.client_certificates,
-        is_insecure=given.insecure,
-        mesh_http=given.mesh_http,
-        metrics=given.choose_metrics("zensim up", is_insecure=given.insecure),
-        wait_s=given.wait,
-        journal=str(given.journal or ""),
-        ros=given.ros,
+        ros_choice=given.ros_choice,
+        tf_choice=given.tf_choice,
+        programs=given.programs,
+        viewer=given.viewer,
+        is_verbose=CURRENT.is_verbose,
     )
 
 
@@ -371,8 +289,8 @@ def require_no_recording(config: LaunchConfig) -> None:
     Raises:
         FileExistsError: It exists.
     """
-    if config.recording and Path(config.recording).exists():
-        raise FileExistsError(EEXIST, "--record exists; give another name", config.recording)
+    if (path := config.programs.record) is not None and path.exists():
+        raise FileExistsError(EEXIST, "--record exists; give another name", str(path))
 
 
 def secure_deployment(config: LaunchConfig) -> LaunchConfig:
@@ -382,23 +300,26 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         Exposed: Other hosts can connect to a server that is not secured, and no option allows it.
         ValueError: See `to_secure_endpoint`, `RefusedUser`.
     """
-    listen = () if config.connect else (config.endpoint,)
-    if config.mesh_http:
-        listen = (*listen, to_mesh_endpoint(config.mesh_http))
-    check_exposure("zensim up", listen, is_secure=config.is_secure, is_insecure=config.is_insecure)
-    if not config.is_secure:
-        if config.uses_certificates:
+    network = config.network
+    listen = () if network.connect else (config.endpoint,)
+    if network.mesh_http:
+        listen = (*listen, to_mesh_endpoint(network.mesh_http))
+    check_exposure("zensim up", listen, is_secure=network.secure, is_insecure=network.insecure)
+    if not network.secure:
+        if network.client_certificates:
             raise ValueError("--client-certificates needs --secure; add it")
-        if config.page_role:
+        if config.viewer.page_role:
             raise ValueError("--page-role needs --secure; without it, the page acts")
         return config
-    if config.connect:
+    if network.connect:
         raise ValueError("--secure and --connect exclude each other; give one of them")
     endpoint = to_secure_endpoint(config.endpoint)
-    config = msgspec.structs.replace(config, endpoint=endpoint)
+    config = change_settings(config, {"listen": endpoint})
     with server_extra():
         folder = prepare_secure_folder(
-            SecureSettings(config.world_name, config.ros.domain, endpoint, config.uses_certificates)
+            SecureSettings(
+                network.world_name, config.ros.domain, endpoint, network.client_certificates
+            )
         )
     users = list_users_of_programs(config)
     accounts = folder.ensure(users.values())
@@ -407,7 +328,7 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
         for program, account in zip(users, accounts, strict=True)
     }
     # The address of a page that only shows must not become that of one that acts.
-    file = "page_operator.secret" if config.page_role == "operator" else "page.secret"
+    file = "page_operator.secret" if config.viewer.page_role == "operator" else "page.secret"
     return msgspec.structs.replace(
         config, join_addresses=addresses, page_token=str(folder.path / file)
     )
@@ -415,9 +336,9 @@ def secure_deployment(config: LaunchConfig) -> LaunchConfig:
 
 def list_users_of_programs(config: LaunchConfig) -> dict[str, User]:
     """List the users of the programs of a secured deployment, by program."""
-    page = User("page", config.page_role or "page")
+    page = User("page", config.viewer.page_role or "page")
     users = {OPERATOR: User("operator", "operator"), VIEWER: page}
-    if config.recording:
+    if config.programs.record is not None:
         users[RECORDER] = User("recorder", "recorder")
     for number, program in enumerate(make_sensor_starts(config), 1):
         users[program] = User("sensors" if number == 1 else f"sensors_{number}", "sensors")
@@ -456,7 +377,7 @@ def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: b
             _run_until_stopped(deployment, run_on, plan, as_json=as_json)
     if (recorder := deployment.recorder) is not None and recorder.failures:
         raise NotRecorded(
-            f"the recording {plan.config.recording} is not whole: the recorder failed "
+            f"the recording {plan.config.programs.record} is not whole: the recorder failed "
             f"{recorder.failures} times; 'zensim bag info' shows what it has"
         )
 
@@ -469,9 +390,9 @@ def _server_death_explained(config: LaunchConfig) -> Iterator[None]:
     except ProgramDied as error:
         if not str(error).startswith("server "):
             raise
-        again = f"the same command with --journal {config.journal} brings its world back"
+        again = f"the same command with --journal {config.operation.journal} brings its world back"
         never = "its world is lost; with --journal FOLDER the same command brings it back"
-        raise ProgramDied(f"{error}; {again if config.journal else never}") from error
+        raise ProgramDied(f"{error}; {again if config.operation.journal else never}") from error
 
 
 def _run_until_stopped(
@@ -480,14 +401,14 @@ def _run_until_stopped(
     config = deployment.config
     run = LocalRun(
         os.getpid(),
-        config.connect or config.endpoint,
-        config.world_name,
+        config.reached_endpoint,
+        config.network.world_name,
         len(plan.names),
         deployment.viewer_url,
     )
     with deployment.bus, recorded_run(run):
         _print_ready(deployment, plan.names, as_json=as_json)
-        _open_page(deployment.viewer_url, plan.open_page)
+        _open_page(deployment.viewer_url, plan.config.viewer.open_page)
         run_on()
         _print_summary(deployment, as_json=as_json)
 
@@ -501,19 +422,16 @@ def _make_placements(given: UpOptions) -> tuple[RobotPlacement, ...]:
 
 def _choose_agents(given: UpOptions) -> LaunchAgentsConfig:
     agents, robots = given.agents, given.robots
-    if agents:
-        parse_choice("--agents", agents, ("per-robot", "pooled"))
-    is_pooled = agents == "pooled" or (not agents and robots > MAX_AGENT_PROCESSES)
+    is_pooled = agents.agents == "pooled" or (not agents.agents and robots > MAX_AGENT_PROCESSES)
     return LaunchAgentsConfig(
         choose_pool_count(robots, os.cpu_count() or 1) if is_pooled else None,
-        given.odom_hz,
-        given.tf_hz,
-        drives_others=given.drive_others,
+        given.rates,
+        drives_others=agents.drive_others,
     )
 
 
 def _refuse_pools_that_drive_others(config: LaunchConfig, given: UpOptions) -> None:
-    if not given.drive_others and config.agents.pools:
+    if not given.agents.drive_others and config.agents.pools:
         raise ValueError(
             "--no-drive-others, but pools drive every robot; add --agents per-robot, or in a "
             "scenario name robots under agents"
@@ -548,7 +466,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
             {
                 "ready_s": round(deployment.ready_s, 3),
                 "robots": len(names),
-                "endpoint": config.connect or config.endpoint,
+                "endpoint": config.reached_endpoint,
                 "engine": deployment.ready_info.engine,
                 "viewer": deployment.viewer_url or None,
                 "drives_others": config.agents.drives_others,
@@ -559,20 +477,20 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     where = _make_client_options(config)
     lines = {
         "page": _write_page(deployment) or "none (--no-viewer)",
-        "endpoint": config.connect or config.endpoint,
+        "endpoint": config.reached_endpoint,
         "engine": deployment.ready_info.engine,
         "drive": f"zensim drive {first} 0.2 0.5{where}",
         "subscribe": f"zensim echo {first}/odom{where}",
         "others": _describe_others(config.agents),
     }
-    if config.client_endpoint != (config.connect or config.endpoint) and not config.join_addresses:
+    if config.client_endpoint != config.reached_endpoint and not config.join_addresses:
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
         lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
     print_lines(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
         print_lines(f"  {word:<10} {line}")
     if config.join_addresses:
-        print_users(open_secure_folder(config.world_name))
+        print_users(open_secure_folder(config.network.world_name))
     print_lines("Ctrl-C or 'zensim down' to stop.")
 
 
@@ -597,7 +515,8 @@ def _make_client_options(config: LaunchConfig) -> str:
     if config.join_addresses:
         connect = f" --join {config.join_addresses[OPERATOR]}"
     named = os.environ.get("ZENSIM_WORLD") or "default"
-    return f"{connect} --world-name {config.world_name}" if config.world_name != named else connect
+    world = config.network.world_name
+    return f"{connect} --world-name {world}" if world != named else connect
 
 
 def _open_page(url: str, open_page: bool | None) -> None:

@@ -1,19 +1,20 @@
 """Settings of the ROS 2 endpoints: domain, distribution, tf, bridge."""
 
-from typing import Final, Literal, get_args
+from typing import Final
 
 import msgspec
 
 from zensim.proto.names import check_frame
 from zensim.proto.ros2.rmw_keys import OFF, parse_domain
+from zensim.proto.settings.ros_choice import (
+    USUAL_TF,
+    BridgedCommand,
+    RosChoice,
+    TfChoice,
+    TfScope,
+)
 
-TfScope = Literal["global", "namespaced", "both"]
-"""Transforms on `/tf`, with the namespace before their frames, or on `/ns/tf`."""
 DISTRIBUTION_WITHOUT_HASHES: Final = "humble"
-DISTRIBUTIONS: Final = ("humble", "iron", "jazzy", "kilted", "lyrical", "rolling")
-
-
-BridgedCommand = Literal["twist", "twist_stamped"]
 BRIDGED_COMMANDS: Final[dict[BridgedCommand, str]] = {
     "twist": "geometry_msgs/msg/Twist",
     "twist_stamped": "geometry_msgs/msg/TwistStamped",
@@ -74,40 +75,17 @@ class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
 NO_ROS: Final = RosSettings(domain=None, tf="namespaced")
 
 
-def parse_ros_settings(
-    domain: str, distribution: str, tf: str = "both", tf_root: str = "world", *, is_bridged: bool
-) -> RosSettings:
-    """Parse command-line options.
+def parse_ros_settings(ros: RosChoice, tf: TfChoice = USUAL_TF) -> RosSettings:
+    """Parse what a user chose, but for the names of topics.
 
     Raises:
-        ValueError: A value is unknown, or the domain or the root frame is not valid.
+        ValueError: The domain or the root frame is not valid.
     """
-    if distribution not in DISTRIBUTIONS:
-        raise ValueError(
-            f"`ros_distro` {distribution!r} is unknown; use {', '.join(DISTRIBUTIONS)}"
-        )
     return RosSettings(
-        domain=parse_domain(domain),
-        has_hashes=distribution != DISTRIBUTION_WITHOUT_HASHES,
-        tf=_parse_tf_scope(tf),
-        tf_root="" if tf_root == OFF else check_frame(tf_root),
-        is_bridged=is_bridged,
+        domain=parse_domain(ros.ros_domain),
+        has_hashes=ros.ros_distro != DISTRIBUTION_WITHOUT_HASHES,
+        tf=tf.tf,
+        tf_root="" if tf.tf_root == OFF else check_frame(tf.tf_root),
+        is_bridged=ros.ros_bridge,
+        bridge_cmd_vel=tf.ros_bridge_cmd_vel,
     )
-
-
-def to_cli_arguments(settings: RosSettings) -> tuple[str, ...]:
-    """Write the settings as command-line options of a server, without those of tf."""
-    domain = OFF if settings.domain is None else str(settings.domain)
-    return (
-        *("--ros-domain", domain),
-        *(() if settings.has_hashes else ("--ros-distro", DISTRIBUTION_WITHOUT_HASHES)),
-        *(("--ros-bridge",) if settings.is_bridged else ()),
-        *(("--ros-topics", ",".join(settings.topics)) if settings.topics else ()),
-    )
-
-
-def _parse_tf_scope(text: str) -> TfScope:
-    for known in get_args(TfScope):
-        if known == text:
-            return known  # type: ignore[no-any-return]
-    raise ValueError(f"`tf` {text!r} is unknown; use {', '.join(get_args(TfScope))}")

@@ -1,7 +1,5 @@
 """Settings of a server, which every program that starts one passes on whole."""
 
-from typing import Final
-
 import msgspec
 
 from zensim.proto.settings.engine_settings import EngineKeywords, EngineSettings
@@ -17,10 +15,6 @@ class ServerSettings(msgspec.Struct, frozen=True, kw_only=True):
     physics: EngineSettings = EngineSettings()
     pace: PaceSettings = PaceSettings()
     lockstep: LockstepSettings = LockstepSettings()
-
-
-USUAL_SERVER: Final = ServerSettings()
-"""Default settings of a server."""
 
 
 class WorldKeywords(StartKeywords, EngineKeywords, PaceKeywords, total=False):

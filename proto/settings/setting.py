@@ -49,8 +49,10 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     """Environment variables that hold for all commands."""
     key: str = ""
     """Key in scenario files, `section.name`; empty = such files cannot set it."""
+    pattern: str = ""
+    """Regular expression of the texts that such files may have."""
     spelling: str = ""
-    """Option of commands, where it is not made from the name."""
+    """Option of commands, where it is not made from the name; `--on/--off` of a switch."""
     complete: Callable[[str], list[str]] | None = None
     """Finds the values that begin with a text, while a command is typed."""
     key_words: tuple[str, str] | None = None
@@ -76,8 +78,18 @@ class SettingField(NamedTuple):
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     @property
+    def is_path(self) -> bool:
+        """Whether the value is the path of a file or folder."""
+        return hasattr(self.kind, "__fspath__")
+
+    @property
     def flag(self) -> str:
         """Spelling on a command line."""
+        return self.spelling.partition("/")[0]
+
+    @property
+    def spelling(self) -> str:
+        """Spelling on a command line, with that which turns a switch off."""
         return self.setting.spelling or f"--{self.name.replace('_', '-')}"
 
 
@@ -175,8 +187,10 @@ def check_settings(settings: msgspec.Struct) -> None:
 
 
 def _read_value(field: SettingField, value: Any) -> object:  # noqa: ANN401
-    if value is None or (field.choices and not value):
+    if value is None or (value == "" and (field.choices or field.is_path)):
         return field.default
+    if field.is_path:
+        return field.kind(value)
     if get_origin(field.kind) is tuple:
         return tuple(map(str, value))
     if field.choices:
@@ -234,20 +248,31 @@ def spell_flags(text: str) -> str:
     return re.sub(r"`(\w+)`", lambda found: f"--{found[1].replace('_', '-')}", text)
 
 
-def write_words(settings: msgspec.Struct) -> tuple[str, ...]:
-    """Write settings as words of a command line; defaults are left out."""
-    known = _index_settings(type(settings))
+def write_words(
+    settings: msgspec.Struct, group: type[msgspec.Struct] | None = None
+) -> tuple[str, ...]:
+    """Write settings as words of a command line.
+
+    Defaults are left out, but for names that a variable of the other program could replace.
+
+    Args:
+        settings: Values.
+        group: The settings that the command has; all if it is not given.
+    """
+    values = read_settings(settings)
     words: list[str] = []
-    for name, value in read_settings(settings).items():
-        field = known[name]
-        if value != field.default:
-            words += _write_option(field.flag, value)
+    for field in list_settings(group or type(settings)):
+        value = values[field.name]
+        is_needed = bool(field.setting.variables and field.kind is str and value)
+        if is_needed or value != field.default:
+            words += _write_option(field, value)
     return tuple(words)
 
 
-def _write_option(flag: str, value: object) -> list[str]:
+def _write_option(field: SettingField, value: object) -> list[str]:
+    on, _, off = field.spelling.partition("/")
     if isinstance(value, bool):
-        return [flag] if value else []
+        return [word for word in (on if value else off,) if word]
     if isinstance(value, tuple):
-        return [word for one in value for word in (flag, str(one))]
-    return [flag, "" if value is None else str(value)]
+        return [word for one in value for word in (on, str(one))]
+    return [on, "" if value is None else str(value)]

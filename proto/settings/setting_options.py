@@ -27,7 +27,7 @@ def make_option(field: SettingField) -> Any:  # noqa: ANN401
     """Make the option of a setting."""
     setting, is_switch = field.setting, field.kind is bool
     return typer.Option(
-        field.flag,
+        field.spelling,
         # typer would show the type of a switch as <bool>.
         metavar="" if is_switch else setting.metavar or "|".join(field.choices),
         # Rich reads a plain [m] as markup and drops it.

@@ -13,11 +13,13 @@ from zensim.deploy.scenario_settings import (
     add_scenario,
     refuse_options_of_the_demo,
 )
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.settings.deployment_settings import UpSettings, ViewerSettings
+from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.server_settings import ServerSettings
-from zensim.proto.settings.setting import list_settings, make_settings
-from zensim.scenario.scenario_format import AgentsSection, ScenarioFormat
+from zensim.proto.settings.setting import is_settings, list_settings, make_settings
+from zensim.scenario.scenario_format import ScenarioFormat
 from zensim.scenario.scenario_reader import Scenario, read_scenario
+from zensim.scenario.setting_sections import AgentsSection
 from zensim.scenario.typed_reading import find_type
 from zensim.sim_server.cli import ServeOptions
 
@@ -31,7 +33,7 @@ viewer: {port: 9000}
 sensors: {processes: 2}
 agents: [{name: pool, odom_rate: 20 Hz}]
 """
-FLAGS = LaunchConfig(endpoint=DEFAULT_ENDPOINT, has_viewer=True, viewer_port=8080)
+FLAGS = LaunchConfig(viewer=ViewerSettings())
 
 
 def scenario_of(folder: Path) -> Scenario:
@@ -44,17 +46,17 @@ def test_file_completes_the_settings(tmp_path: Path) -> None:
     config = add_scenario(FLAGS, scenario_of(tmp_path))
 
     start = config.server.start
-    assert (start.world, config.world_name, start.strict) == ("walls", "lab", True)
+    assert (start.world, config.network.world_name, start.strict) == ("walls", "lab", True)
     physics = config.server.physics
     assert (physics.engine, physics.clusters, physics.dynamics) == ("mujoco", "off", "auto")
     assert (config.server.pace.rtf, start.seed, start.paused) == (2.0, 7, True)
     assert (config.server.lockstep.lockstep, config.endpoint) == (True, "tcp/127.0.0.1:7999")
-    assert (config.viewer_port, config.sensor_processes) == (9000, 2)
+    assert (config.viewer.viewer_port, config.programs.sensors) == (9000, 2)
 
 
 def test_flags_win(tmp_path: Path) -> None:
     server = make_settings(ServerSettings, {"engine": "pybullet", "rtf": 1.0, "seed": 3})
-    flags = LaunchConfig(endpoint="tcp/127.0.0.1:1", server=server)
+    flags = LaunchConfig(network=NetworkSettings(listen="tcp/127.0.0.1:1"), server=server)
     given = {"world": "empty", "listen": "", "engine": "", "rtf": 1.0, "seed": 3, "odom_hz": 5.0}
 
     config = add_scenario(flags, scenario_of(tmp_path), given)
@@ -62,7 +64,7 @@ def test_flags_win(tmp_path: Path) -> None:
     start = config.server.start
     assert (start.world, config.server.physics.engine, start.seed) == ("empty", "pybullet", 3)
     assert (config.server.pace.rtf, config.endpoint) == (1.0, "tcp/127.0.0.1:1")
-    assert config.agents.odom_hz == 5.0
+    assert config.agents.rates.odom_hz == 5.0
 
 
 def list_keys(kind: type, path: str) -> list[str]:
@@ -71,10 +73,11 @@ def list_keys(kind: type, path: str) -> list[str]:
 
 
 def test_every_option_of_up_and_serve_is_a_key() -> None:
-    options = {field.name for kind in (UpOptions, ServeOptions) for field in fields(kind)}
-    options |= {one.name for one in list_settings(ServerSettings)}
+    named = {one.name: one.type for kind in (UpOptions, ServeOptions) for one in fields(kind)}
+    options = {name for name, kind in named.items() if not is_settings(kind)}
+    options |= {one.name for one in list_settings(UpSettings)}
 
-    not_of_files = {"server", "file", "settings", "as_json", "announce", "input_log"}
+    not_of_files = {"file", "settings", "as_json", "announce", "input_log"}
     not_of_files |= {"record"}  # the section of this name has more than a path
     # Who is admitted is decided where the program runs, never by a file that somebody sent.
     not_of_files |= {"secure", "client_certificates", "insecure", "mesh_http", "page_role"}

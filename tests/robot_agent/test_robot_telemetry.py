@@ -21,7 +21,8 @@ from zensim.proto.messages.standard_messages import (
     Time,
     TransformStamped,
 )
-from zensim.proto.ros2.ros_settings import RosSettings, TfScope
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.ros_choice import TfScope
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import BaseMotion

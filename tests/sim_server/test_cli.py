@@ -19,7 +19,7 @@ from zensim.proto.exit_codes import ExitCode
         (("--world", "mars"), "world 'mars' is neither a file nor one of empty"),
         (("--ros-domain", "999"), "ROS domain 999 is not valid; use 0 to 232"),
         (("--ros-domain", "zero"), "ROS domain 'zero' is not valid; use 0 to 232, or off"),
-        (("--ros-distro", "hydro"), "--ros-distro 'hydro' is unknown; use humble"),
+        (("--ros-distro", "hydro"), "--ros-distro must be one of humble, iron"),
         (("--listen", "here"), "endpoint 'here' is not valid; use protocol/host:port"),
     ],
     ids=str,

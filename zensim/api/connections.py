@@ -32,9 +32,11 @@ from zensim.proto.join_tokens import (
     read_join_address,
 )
 from zensim.proto.messages.telemetry_messages import Info
-from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.settings.deployment_settings import ProgramSettings
 from zensim.proto.settings.lockstep_settings import PATIENT, LockstepSettings
+from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.ros_choice import HIDDEN, NAMESPACED
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.start_settings import StartSettings
 from zensim.spawner.client.service_client import ServiceClient
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 CONNECT_VARIABLE = "ZENSIM_CONNECT"
 DEFAULT_WORLD = "default"
+ANY_PORT = "tcp/127.0.0.1:0"
 START_TIMEOUT_S = 30.0
 POLL_S = 0.01
 REFUSED_S = 0.2
@@ -125,10 +128,11 @@ def launch(
     usual = ServerSettings(start=start, pace=PaceSettings(rtf=rtf), lockstep=waiting)
     config = LaunchConfig(
         server=read_world_keywords(world, options, usual),
-        endpoint=with_free_port("tcp/127.0.0.1:0"),
+        network=NetworkSettings(listen=with_free_port(ANY_PORT)),
         agents=LaunchAgentsConfig(pools=agents),
-        sensor_processes=sensors,
-        ros=NO_ROS,
+        programs=ProgramSettings(sensors=sensors),
+        ros_choice=HIDDEN,
+        tf_choice=NAMESPACED,
     )
     return launch_configured(config, timeout_s)
 
@@ -153,10 +157,10 @@ def _start(config: LaunchConfig, timeout_s: float) -> Sim:
         stack.callback(bus.close)
         access = ServerAccess(
             bus,
-            config.world_name,
+            config.network.world_name,
             watch=keeper.check,
             on_close=keeper.close,
-            starts_sensors=config.sensor_processes != 0,
+            starts_sensors=config.programs.sensors != 0,
         )
         sim = Sim(access)
         # The simulation closes all.

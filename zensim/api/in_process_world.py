@@ -23,11 +23,11 @@ from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
+from zensim.proto.settings.deployment_settings import RateOverrides
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.start_settings import StartSettings
-from zensim.robot_agent.agent_config import RateOverrides
 from zensim.sim_server.server_config import ServerConfig
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Literal, get_args
 from urllib.parse import urlsplit
 
 import msgspec
@@ -20,25 +19,30 @@ from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
 from zensim.proto.bus.session_files import require_files
 from zensim.proto.bus.zenoh_runtime import require_threads
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.endpoints import is_endpoint_taken, to_client_endpoint
+from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import EventKind, GetModelsResponse, Info, WorldClock
-from zensim.proto.metrics_address import is_exposed
-from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
-from zensim.proto.settings.server_settings import ServerSettings
-from zensim.proto.settings.setting import write_words
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.deployment_settings import (
+    NO_PAGE,
+    DeploymentSettings,
+    RateOverrides,
+    ServeSettings,
+    ViewerSettings,
+)
+from zensim.proto.settings.setting import change_settings, write_words
 from zensim.proto.supervisor import (
     PREPARED_START_MODULE,
     RECORDER_GRACE_S,
     SupervisedProgram,
     Supervisor,
 )
-from zensim.proto.topic_catalog import CLOCK
+from zensim.proto.topic_catalog import CLOCK, read_ros_settings
 from zensim.proto.web_access import add_token, read_page_token
-from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
+from zensim.robot_agent.agent_config import AS_DESCRIBED, AgentConfig, AgentProcessConfig
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
 from zensim.spawner.client.sim_client import SimClient
@@ -74,8 +78,7 @@ class AgentGroup(msgspec.Struct, frozen=True):
     name: str
     """Name of the program."""
     entities: tuple[str, ...]
-    odom_hz: float | None = None
-    tf_hz: float | None = None
+    rates: RateOverrides = AS_DESCRIBED
 
 
 class LaunchAgentsConfig(msgspec.Struct, frozen=True):
@@ -83,69 +86,52 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
 
     pools: int | None = None
     """Number of pools that share the robots; None = one agent per robot."""
-    odom_hz: float | None = None
-    """None = from the robot description."""
-    tf_hz: float | None = None
-    """None = `odom_hz`, or from the robot description."""
+    rates: RateOverrides = AS_DESCRIBED
     groups: tuple[AgentGroup, ...] = ()
     """Further agents, for robots that are spawned later."""
     drives_others: bool = False
     """Whether a pool starts with the first robot that has no agent; `pools` drive all anyway."""
 
 
-PageRole = Literal["", "page", "operator"]
-PAGE_ROLES: tuple[PageRole, ...] = get_args(PageRole)
-
-
-class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of a deployment."""
+class LaunchConfig(DeploymentSettings, frozen=True, kw_only=True):
+    """Settings of a deployment, and what they lead to on this host."""
 
     placements: tuple[RobotPlacement, ...] = ()
     model: str = ""
     controllers: tuple[Path, ...] = ()
     drive: DriveOrder = DriveOrder()
-    world_name: str = "default"
-    endpoint: str
-    server: ServerSettings = ServerSettings()
-    connect: str = ""
-    """Endpoint of a router that the server connects to, instead of listening at `endpoint`."""
-    join_addresses: dict[str, str] = {}
+    join_addresses: dict[str, str] = msgspec.field(default_factory=dict)
     """Join address (`@FILE`) of each program of a secured server, and of `OPERATOR`."""
-    is_secure: bool = False
-    """Whether the server admits only users with a join token."""
-    uses_certificates: bool = False
-    """Whether these also need a certificate."""
     page_token: str = ""
     """File of the page's token; empty = the page needs none."""
-    page_role: PageRole = ""
-    """Role of the page of a secured server; empty = "page"."""
-    is_insecure: bool = False
-    """Whether the server may admit everybody from other hosts."""
-    mesh_http: str = ""
-    """`HOST:PORT` at which the server offers meshes; empty = it does not."""
-    metrics: str = ""
-    """`[HOST:]PORT` at which the server offers health and metrics; empty = it does not."""
-    wait_s: float = 30.0
-    """Timeout of the server's connection to the router."""
-    journal: str = ""
-    """Folder; empty = no journal."""
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
-    sensor_processes: int | None = None
-    """Number of processes that share lidars and cameras; None = one when the first appears."""
-    ros: RosSettings = RosSettings()
-    has_viewer: bool = False
-    viewer_port: int = 0
-    recording: str = ""
-    """File or folder of a recording of all topics; empty = none."""
-    keeps_inputs: bool = False
-    """Whether the server keeps all inputs from the start, as it does for a recording."""
+    viewer: ViewerSettings = NO_PAGE
     is_verbose: bool = False
     """Whether the server logs at level INFO."""
 
     @property
+    def endpoint(self) -> str:
+        """Endpoint at which the server listens, unless it connects to a router."""
+        return self.network.listen or DEFAULT_ENDPOINT
+
+    @property
+    def reached_endpoint(self) -> str:
+        """Endpoint of the router: the server's own, or that which it connects to."""
+        return self.network.connect or self.endpoint
+
+    @property
+    def ros(self) -> RosSettings:
+        """ROS 2 settings of all programs.
+
+        Raises:
+            ValueError: See `read_ros_settings`.
+        """
+        return read_ros_settings(self.ros_choice, self.tf_choice)
+
+    @property
     def client_endpoint(self) -> str:
         """Endpoint that programs on this host connect to."""
-        return self.connect or to_client_endpoint(self.endpoint)
+        return self.network.connect or to_client_endpoint(self.endpoint)
 
     def address_of(self, program: str) -> str:
         """Find what a program connects to: the join address of its user, or the endpoint."""
@@ -185,7 +171,7 @@ class DemandLaunch:
     def __init__(self, config: LaunchConfig, supervisor: Supervisor, bus: Bus) -> None:
         self._waiting = list_demanded_programs(config)
         self._supervisor = supervisor
-        self._bus, self._world = bus, config.world_name
+        self._bus, self._world = bus, config.network.world_name
         self._follower: WorldFollower | None = None
         """Follower since the first call, whose reply covers the many events of a start."""
         self._now_s = 0.0
@@ -223,7 +209,7 @@ class DemandLaunch:
 
 def list_demanded_programs(config: LaunchConfig) -> list[DemandedPrograms]:
     """List the programs of a deployment that its world may need."""
-    has_number = config.sensor_processes is not None
+    has_number = config.programs.sensors is not None
     sensors = make_sensor_starts(config)
     pool = make_pool_starts(config)
     own = {one.name for one in config.placements}.union(*(g.entities for g in config.agents.groups))
@@ -297,7 +283,7 @@ def launch(
         ForkedProcess: See `open_bus`.
     """
     require_threads()
-    if not config.connect and is_endpoint_taken(config.endpoint):
+    if not config.network.connect and is_endpoint_taken(config.endpoint):
         # Its world would get the robots before the server of this one fails.
         raise LaunchFailed(
             f"another program listens at {config.endpoint}; end it, with 'zensim down' if it is "
@@ -306,7 +292,7 @@ def launch(
     start_programs(config, supervisor)
     with ExitStack() as stack:
         bus = stack.enter_context(_open_bus(config, supervisor))
-        client = SimClient(bus, config.world_name)
+        client = SimClient(bus, config.network.world_name)
         on_demand = DemandLaunch(config, supervisor, bus)
         deployment = LocalDeployment(config, supervisor, bus, client, on_demand)
         _wait_until_ready(deployment, progress, began_s)
@@ -319,41 +305,17 @@ def launch(
 
 def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
     """Make the command line of the server; defaults are left out."""
-    at = ("--connect", config.connect) if config.connect else ("--listen", config.endpoint)
-    switches = {
-        "--input-log": config.keeps_inputs or bool(config.recording),
-        "--verbose": config.is_verbose,
-        "--secure": config.is_secure,
-        "--client-certificates": config.uses_certificates,
-        "--insecure": config.is_insecure,
-        "--metrics-insecure": is_exposed(config.metrics),
+    changes = {
+        "listen": "" if config.network.connect else config.endpoint,
+        "input_log": config.operation.input_log or config.programs.record is not None,
     }
+    verbose = ("--verbose",) if config.is_verbose else ()
     return (
-        *("serve", *at, "--world-name", config.world_name, "--announce"),
-        *(switch for switch, is_on in switches.items() if is_on),
-        *_make_value_arguments(config),
-        *write_words(config.server),
-        *to_cli_arguments(config.ros),
+        "serve",
+        "--announce",
+        *verbose,
+        *write_words(change_settings(config, changes), ServeSettings),
     )
-
-
-def _make_value_arguments(config: LaunchConfig) -> tuple[str, ...]:
-    usual = _list_values(LaunchConfig(endpoint=config.endpoint))
-    return tuple(
-        word
-        for option, value in _list_values(config).items()
-        if value != usual[option]
-        for word in (option, str(value))
-    )
-
-
-def _list_values(config: LaunchConfig) -> dict[str, object]:
-    return {
-        "--journal": config.journal,
-        "--wait": config.wait_s,
-        "--mesh-http": config.mesh_http,
-        "--metrics": config.metrics,
-    }
 
 
 def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
@@ -368,9 +330,8 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
             for one in config.placements
         }
     for group in config.agents.groups:
-        rates = RateOverrides(group.odom_hz, group.tf_hz)
         configs[f"agent {group.name}"] = msgspec.structs.replace(
-            common, entities=group.entities, rates=rates
+            common, entities=group.entities, rates=group.rates
         )
     return _make_agent_processes(config, configs)
 
@@ -385,8 +346,8 @@ def make_pool_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
 
 def _make_agent_config(config: LaunchConfig) -> AgentConfig:
     return AgentConfig(
-        world=config.world_name,
-        rates=RateOverrides(config.agents.odom_hz, config.agents.tf_hz),
+        world=config.network.world_name,
+        rates=config.agents.rates,
         wait_s=AGENT_WAIT_S,
         ros=config.ros,
     )
@@ -406,11 +367,11 @@ def make_sensor_starts(config: LaunchConfig) -> dict[str, SensorProcessConfig]:
     return {
         f"sensor process {number}": SensorProcessConfig(
             endpoint=config.address_of(f"sensor process {number}"),
-            world=config.world_name,
+            world=config.network.world_name,
             ros=config.ros,
             is_quiet=True,
         )
-        for number in range(1 if config.sensor_processes is None else config.sensor_processes)
+        for number in range(1 if config.programs.sensors is None else config.programs.sensors)
     }
 
 
@@ -433,7 +394,7 @@ def start_programs(
         LaunchFailed: The server does not listen in time [s], or the start was stopped.
         ProgramDied: A process exited.
     """
-    if not config.connect:
+    if not config.network.connect:
         programs = _count_programs(config)
         require_files(programs + SPARE_SESSIONS, f"a server with {programs} programs")
     server = supervisor.start("server", make_serve_arguments(config))
@@ -451,8 +412,9 @@ def start_programs(
 
 def _count_programs(config: LaunchConfig) -> int:
     """Count the programs that connect to the server."""
-    further = (config.has_viewer, bool(config.recording), config.sensor_processes != 0)
-    sensors = max(config.sensor_processes or 1, 1) - 1
+    count = config.programs.sensors
+    further = (config.viewer.viewer, config.programs.record is not None, count != 0)
+    sensors = max(count or 1, 1) - 1
     return len(make_agent_starts(config)) + len(make_pool_starts(config)) + sensors + sum(further)
 
 
@@ -495,8 +457,8 @@ def _wait_until_ready(
 ) -> None:
     config = deployment.config
     deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
-    if config.recording:
-        deployment.recorder = _start_recorder(deployment)
+    if config.programs.record is not None:
+        deployment.recorder = _start_recorder(deployment, config.programs.record)
     outcomes = spawn_fleet(
         deployment.client,
         config.model,
@@ -508,7 +470,7 @@ def _wait_until_ready(
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
     _wait_for_recording(deployment)
-    viewer = _start_viewer(deployment) if config.has_viewer else None
+    viewer = _start_viewer(deployment) if config.viewer.viewer else None
     _wait_for_agents(deployment, progress)
     deployment.ready_s = time.monotonic() - began_s
     if viewer is not None:
@@ -538,7 +500,7 @@ def _wait_for_agents(deployment: LocalDeployment, progress: LaunchProgress) -> N
 
 
 def _begin_measuring(deployment: LocalDeployment) -> None:
-    deployment.clock = deployment.bus.subscribe(CLOCK.key(deployment.config.world_name))
+    deployment.clock = deployment.bus.subscribe(CLOCK.key(deployment.config.network.world_name))
     deployment.ready_info, deployment.ready_at_s = deployment.client.info(), time.monotonic()
     deployment.meter = SimTimeMeter(
         round(deployment.ready_info.sim_time_s * NANOSECONDS), deployment.ready_info.epoch
@@ -552,15 +514,15 @@ def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
     time.sleep(POLL_S)
 
 
-def _start_recorder(deployment: LocalDeployment) -> SupervisedProgram:
+def _start_recorder(deployment: LocalDeployment, path: Path) -> SupervisedProgram:
     config = deployment.config
-    domain = "off" if config.ros.domain is None else str(config.ros.domain)
     recorder = deployment.supervisor.start(
         RECORDER,
         (
-            *("record", "--all", "--quiet", "--output", config.recording),
-            *("--connect", config.address_of(RECORDER), "--world-name", config.world_name),
-            *("--ros-domain", domain),
+            *("record", "--all", "--quiet", "--output", str(path)),
+            *("--connect", config.address_of(RECORDER)),
+            *("--world-name", config.network.world_name),
+            *("--ros-domain", config.ros_choice.ros_domain),
         ),
         # The world goes on without it, and an error of the disk would come again.
         is_essential=False,
@@ -573,9 +535,9 @@ def _start_recorder(deployment: LocalDeployment) -> SupervisedProgram:
 
 def _wait_for_recording(deployment: LocalDeployment) -> None:
     """Wait until the recorder has its file: one that cannot write ends the start."""
-    recorder, path = deployment.recorder, Path(deployment.config.recording)
+    recorder, path = deployment.recorder, deployment.config.programs.record
     deadline = time.monotonic() + START_TIMEOUT_S
-    while recorder is not None and not path.exists():
+    while recorder is not None and path is not None and not path.exists():
         if recorder.failures:
             raise LaunchFailed("the recorder failed; see the line above, or leave out `record`")
         _poll(deployment, deadline, f"the recorder has not made {path}")
@@ -584,7 +546,7 @@ def _wait_for_recording(deployment: LocalDeployment) -> None:
 def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
     return deployment.supervisor.start(
         VIEWER,
-        _make_viewer_arguments(deployment.config, deployment.config.viewer_port),
+        _make_viewer_arguments(deployment.config, deployment.config.viewer.viewer_port),
         is_restarted=True,
         # The world goes on without its page.
         is_essential=False,
@@ -593,8 +555,8 @@ def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
 
 def _make_viewer_arguments(config: LaunchConfig, port: int) -> tuple[str, ...]:
     return (
-        *("view", "--connect", config.address_of(VIEWER), "--world-name", config.world_name),
-        *("--port", str(port), "--no-open"),
+        *("view", "--connect", config.address_of(VIEWER)),
+        *("--world-name", config.network.world_name, "--port", str(port), "--no-open"),
         *(("--secure", "--page-token", config.page_token) if config.page_token else ()),
     )
 

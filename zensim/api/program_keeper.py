@@ -86,12 +86,13 @@ class ProgramKeeper:
             Timeout: The server did not start in time.
         """
         self._is_started.wait(self._timeout_s)
+        alive = keys.alive_server(self._config.network.world_name)
         bus_config = BusConfig(connect=(self._config.endpoint,), open_timeout_s=0.1)
         bus: Bus | None = None
         while self._failure is None and time.monotonic() < self._deadline_s:
             try:
                 bus = bus or open_bus(bus_config)
-                if bus.list_tokens(keys.alive_server(self._config.world_name), limit(LIST_S)):
+                if bus.list_tokens(alive, limit(LIST_S)):
                     self._on_demand = DemandLaunch(self._config, self._supervisor, bus)
                     return bus
             except BusError:

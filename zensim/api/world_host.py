@@ -47,9 +47,10 @@ from zensim.proto.service_catalog import (
     Service,
     require_ok,
 )
+from zensim.proto.settings.deployment_settings import RateOverrides
 from zensim.proto.topic_catalog import MAP
 from zensim.proto.topic_faults import TopicFaults
-from zensim.robot_agent.agent_config import AS_DESCRIBED, RateOverrides, override_rates
+from zensim.robot_agent.agent_config import AS_DESCRIBED, override_rates
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.description.world_model import WorldModel

@@ -9,60 +9,27 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from zensim.scenario.quantities import described, quantity
-from zensim.scenario.setting_sections import EngineSection, Name, TimeSection, WorldSection
+from zensim.scenario.setting_sections import (
+    AgentsSection,
+    EngineSection,
+    Name,
+    NetworkSection,
+    RosSection,
+    Selector,
+    SensorsSection,
+    TimeSection,
+    ViewerSection,
+    WorldSection,
+)
 
 FORMAT_VERSION = 1
 
-Selector = str | tuple[str, ...]
-"""Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
 Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
 FloorPoint = tuple[Annotated[float, quantity("m", "x.")], Annotated[float, quantity("m", "y.")]]
 """x, y in the world."""
 FloorPath = Annotated[
     tuple[FloorPoint, ...], msgspec.Meta(min_length=1, description="Points x, y in the world.")
 ]
-
-
-class NetworkSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The Zenoh network and the server's process."""
-
-    listen: Annotated[str, described("Endpoint of the server; port 0 = any free port.")] = ""
-    connect: Annotated[str, described("Zenoh router to connect to instead of listening.")] = ""
-    wait: Annotated[float, quantity("s", "Wall time to reach the router.", at_least=0.0)] | None = (
-        None
-    )
-    journal: Annotated[str, described("Folder of the journal; empty = no journal.")] = ""
-    verbose: Annotated[bool, described("Log at level INFO.")] = False
-
-
-class RosSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics and services on the keys of ROS 2."""
-
-    domain: Annotated[str, described("ROS domain, or `none`.")] = "0"
-    distro: Annotated[str, described("Distribution whose keys are used.")] = "jazzy"
-    bridge: Annotated[bool, described("Keys of zenoh-bridge-ros2dds, too.")] = False
-    tf: Annotated[str, described("Where transforms are published.")] = "both"
-    tf_root: Annotated[str, described("Root frame of the transforms at the root.")] = "world"
-    topics: Annotated[str, described("Topics of robots in ROS 2, by commas; empty = all.")] = ""
-    bridge_cmd_vel: Annotated[
-        str, described("Type of cmd_vel that a bridge sees: twist, twist_stamped.")
-    ] = "twist"
-
-
-class ViewerSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The page of `zensim up`."""
-
-    show: Annotated[bool, described("Serve the page.")] = True
-    port: Annotated[
-        int, msgspec.Meta(ge=0, le=65535, description="TCP port; 0 = any free port.")
-    ] = 8080
-    open: Annotated[bool, described("Open a browser; null = on a desktop.")] | None = None
-
-
-class SensorsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Processes that publish lidars and cameras."""
-
-    processes: Annotated[int, msgspec.Meta(ge=0, le=64, description="Number of processes.")] = 1
 
 
 class LayoutSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -136,19 +103,6 @@ class RobotsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     strict: Annotated[bool, described("Refuse a description with suspicious entries.")] = False
     allow_missing: Annotated[bool, described("Leave out collisions whose mesh is missing.")] = False
     tags: Annotated[tuple[str, ...], described("Tags of the entities.")] = ()
-
-
-class AgentsSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Processes that drive robots."""
-
-    name: Annotated[Name, described("Name of the agent.")]
-    drives: Annotated[Selector, described("Robots that it drives.")] = "*"
-    processes: (
-        Annotated[int, msgspec.Meta(ge=1, le=64, description="Number of processes; null = chosen.")]
-        | None
-    ) = None
-    odom_rate: Annotated[float, quantity("Hz", "Rate of odometry.", above=0.0)] | None = None
-    tf_rate: Annotated[float, quantity("Hz", "Rate of transforms.", above=0.0)] | None = None
 
 
 class BehaviourSection(

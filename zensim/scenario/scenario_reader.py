@@ -21,12 +21,12 @@ from zensim.scenario.scenario_format import (
     PythonBehaviour,
     PythonCheck,
     ScenarioFormat,
-    Selector,
 )
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode
 from zensim.scenario.scenario_references import ReferenceCheck
 from zensim.scenario.scenario_sources import read_merged_nodes
 from zensim.scenario.scenario_variations import Variations
+from zensim.scenario.setting_sections import Selector
 from zensim.scenario.typed_reading import TypedReader
 
 SUFFIXES = (".scenario.yaml", ".scenario.yml", ".scenario.json")

@@ -6,7 +6,8 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from zensim.proto.settings.server_settings import ServerSettings
+from zensim.proto.settings.deployment_settings import UpSettings
+from zensim.proto.settings.network_settings import NAME_PATTERN
 from zensim.proto.settings.setting import SettingField, find_setting, list_settings
 from zensim.scenario.quantities import described, quantity
 
@@ -14,8 +15,10 @@ SETTING: Final = re.compile(r"`(\w+)`")
 """A setting that a text names."""
 Name = Annotated[
     str,
-    msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$", description="Letters, digits and _."),
+    msgspec.Meta(pattern=NAME_PATTERN, description="Letters, digits and _."),
 ]
+Selector = str | tuple[str, ...]
+"""Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
 MAX_INTEGER: Final = (1 << 63) - 1
 """Greatest limit of an integer in JSON Schema as msgspec writes it."""
 
@@ -47,6 +50,9 @@ def make_key(name: str, field: SettingField) -> SectionKey:
         default = "" if field.default is None else field.default
         text = f"{setting.help[:-1]}; empty = {setting.usual}." if "" in known else setting.help
         return SectionKey(name, _make_words(known, text), default)
+    if field.is_path:
+        text = f"{setting.help[:-1]}; empty = {setting.usual}."
+        return SectionKey(name, Annotated[str, described(text)], "")
     if field.kind is float or field.is_optional:
         return SectionKey(name, Annotated[field.kind, _describe(field)] | None, None)
     return SectionKey(name, Annotated[field.kind, _describe(field)], field.default)
@@ -59,10 +65,13 @@ def _make_words(known: tuple[str, ...], summary: str) -> Any:  # noqa: ANN401
 
 def _describe(field: SettingField) -> msgspec.Meta:
     setting = field.setting
-    text = f"{setting.help[:-1]}; null = {setting.usual}." if setting.usual else setting.help
+    none = "empty" if field.kind is str else "null"
+    text = f"{setting.help[:-1]}; {none} = {setting.usual}." if setting.usual else setting.help
     text = SETTING.sub(_spell_key, text)
     if setting.unit:
         return quantity(setting.unit, text, at_least=setting.least, at_most=setting.most)
+    if setting.pattern:
+        return msgspec.Meta(description=text, pattern=setting.pattern)
     if field.kind is not int:
         return described(text)
     most = None if setting.most is None else min(int(setting.most), MAX_INTEGER)
@@ -71,7 +80,7 @@ def _describe(field: SettingField) -> msgspec.Meta:
 
 
 def _spell_key(found: re.Match[str]) -> str:
-    key = find_setting(ServerSettings, found[1]).setting.key
+    key = find_setting(UpSettings, found[1]).setting.key
     return f"`{key.rpartition('.')[2]}`"
 
 
@@ -90,18 +99,45 @@ def make_section(name: str, summary: str, keys: list[SectionKey]) -> Any:  # noq
 
 # Their types are made when this is imported, which mypy cannot see.
 EngineSection: Any = make_section(
-    "EngineSection", "The physics engine.", [*list_keys(ServerSettings, "engine")]
+    "EngineSection", "The physics engine.", [*list_keys(UpSettings, "engine")]
 )
 TimeSection: Any = make_section(
-    "TimeSection", "Time and random numbers.", [*list_keys(ServerSettings, "time")]
+    "TimeSection", "Time and random numbers.", [*list_keys(UpSettings, "time")]
 )
-WorldSection: Any = make_section(
-    "WorldSection",
-    "The world.",
+WorldSection: Any = make_section("WorldSection", "The world.", [*list_keys(UpSettings, "world")])
+NetworkSection: Any = make_section(
+    "NetworkSection",
+    "The Zenoh network and the server's process.",
     [
-        *list_keys(ServerSettings, "world"),
+        *list_keys(UpSettings, "network"),
+        SectionKey("verbose", Annotated[bool, described("Log at level INFO.")], default=False),
+    ],
+)
+RosSection: Any = make_section(
+    "RosSection", "Topics and services on the keys of ROS 2.", [*list_keys(UpSettings, "ros")]
+)
+ViewerSection: Any = make_section(
+    "ViewerSection", "The page of `zensim up`.", [*list_keys(UpSettings, "viewer")]
+)
+SensorsSection: Any = make_section(
+    "SensorsSection",
+    "Processes that publish lidars and cameras.",
+    [*list_keys(UpSettings, "sensors")],
+)
+AgentsSection: Any = make_section(
+    "AgentsSection",
+    "Processes that drive robots.",
+    [
+        SectionKey("name", Annotated[Name, described("Name of the agent.")], msgspec.NODEFAULT),
+        SectionKey("drives", Annotated[Selector, described("Robots that it drives.")], "*"),
         SectionKey(
-            "name", Annotated[Name, described("Name of the world on the network.")], "default"
+            "processes",
+            Annotated[
+                int, msgspec.Meta(ge=1, le=64, description="Number of processes; null = chosen.")
+            ]
+            | None,
+            None,
         ),
+        *list_keys(UpSettings, "agents[0]"),
     ],
 )

@@ -44,7 +44,8 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
 from zensim.proto.ros2.ros_graph import RosGraph
-from zensim.proto.ros2.ros_settings import BridgedCommand, RosSettings
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.ros_choice import BridgedCommand
 from zensim.proto.topic_catalog import select_ros_topics
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots

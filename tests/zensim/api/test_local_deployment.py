@@ -28,28 +28,27 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.settings.deployment_settings import ProgramSettings, RateOverrides
+from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.setting import change_settings, make_settings
 from zensim.proto.topic_catalog import EVENTS
-from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
+from zensim.robot_agent.agent_config import AgentProcessConfig
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
 DEFAULTS = LaunchConfig(
     placements=(),
     model="box_bot",
     server=make_settings(ServerSettings, {"world": "w.world"}),
-    world_name="default",
-    endpoint="tcp/127.0.0.1:1",
-    has_viewer=False,
-    viewer_port=0,
+    network=NetworkSettings(listen="tcp/127.0.0.1:1"),
 )
 COMMON = (
     "serve",
+    "--announce",
     "--listen",
     "tcp/127.0.0.1:1",
     "--world-name",
     "default",
-    "--announce",
 )
 WORLD = ("--world", "w.world")
 ROS = ("--ros-domain", "0")
@@ -96,7 +95,9 @@ def test_model_paths_are_passed() -> None:
 def test_each_robot_has_an_agent_without_pools() -> None:
     placements = (RobotPlacement("r1", 0.0, 0.0), RobotPlacement("r2", 1.0, 0.0))
     single = msgspec.structs.replace(DEFAULTS, placements=placements)
-    pooled = msgspec.structs.replace(single, agents=LaunchAgentsConfig(2, 50.0, 10.0))
+    pooled = msgspec.structs.replace(
+        single, agents=LaunchAgentsConfig(2, RateOverrides(50.0, 10.0))
+    )
 
     one, other = make_agent_starts(single).values()
     assert (one.config.entities, other.config.entities) == (("r1",), ("r2",))
@@ -108,15 +109,15 @@ def test_each_robot_has_an_agent_without_pools() -> None:
 
 
 def test_agents_get_endpoint_world_and_ros_settings() -> None:
-    ros = RosSettings(domain=7, tf="global")
-    config = msgspec.structs.replace(
-        DEFAULTS, placements=(RobotPlacement("r1", 0.0, 0.0),), world_name="w", ros=ros
+    config = change_settings(
+        msgspec.structs.replace(DEFAULTS, placements=(RobotPlacement("r1", 0.0, 0.0),)),
+        {"world_name": "w", "ros_domain": "7", "tf": "global"},
     )
 
     (start,) = make_agent_starts(config).values()
 
     assert start.endpoint == DEFAULTS.endpoint
-    assert (start.config.world, start.config.ros) == ("w", ros)
+    assert (start.config.world, start.config.ros) == ("w", RosSettings(domain=7, tf="global"))
     assert msgspec.json.decode(msgspec.json.encode(start), type=AgentProcessConfig) == start
 
 
@@ -128,11 +129,11 @@ def test_number_of_pools_depends_on_robots_and_cores(robots: int, cores: int, po
 
 
 def test_ros_settings_are_passed() -> None:
-    hidden = msgspec.structs.replace(DEFAULTS, ros=RosSettings(domain=None))
-    bridged = RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
+    hidden = change_settings(DEFAULTS, {"ros_domain": "off"})
+    chosen = {"ros_domain": "7", "ros_distro": "humble", "ros_bridge": True, "tf": "global"}
 
     assert make_serve_arguments(hidden) == (*COMMON, *WORLD, "--ros-domain", "off")
-    assert make_serve_arguments(msgspec.structs.replace(DEFAULTS, ros=bridged)) == (
+    assert make_serve_arguments(change_settings(DEFAULTS, chosen)) == (
         *COMMON,
         *WORLD,
         *("--ros-domain", "7", "--ros-distro", "humble", "--ros-bridge"),
@@ -140,13 +141,13 @@ def test_ros_settings_are_passed() -> None:
 
 
 def test_sensor_processes_get_the_endpoint_and_the_world() -> None:
-    config = msgspec.structs.replace(DEFAULTS, world_name="w2", sensor_processes=2)
+    config = change_settings(DEFAULTS, {"world_name": "w2", "sensors": 2})
 
     starts = make_sensor_starts(config).values()
 
     assert [(one.endpoint, one.world) for one in starts] == [("tcp/127.0.0.1:1", "w2")] * 2
     assert len(make_sensor_starts(DEFAULTS)) == 1
-    assert make_sensor_starts(msgspec.structs.replace(DEFAULTS, sensor_processes=0)) == {}
+    assert make_sensor_starts(change_settings(DEFAULTS, {"sensors": 0})) == {}
 
 
 @dataclass
@@ -163,14 +164,14 @@ class LaunchedWorld:
     """A world in memory, and the start of what it needs: its robot r1 has an agent to come."""
 
     def __init__(
-        self, sensor_processes: int | None = None, agents: LaunchAgentsConfig = DEFAULTS.agents
+        self, sensors: int | None = None, agents: LaunchAgentsConfig = DEFAULTS.agents
     ) -> None:
         self.bus, self.supervisor, self.now_s = MemoryBus(), FakeSupervisor(), 0.0
         self.server = FakeServer(self.bus, make_models(r1=make_robot()))
         config = msgspec.structs.replace(
             DEFAULTS,
             placements=(RobotPlacement("r1", 0.0, 0.0),),
-            sensor_processes=sensor_processes,
+            programs=ProgramSettings(sensors=sensors),
             agents=agents,
         )
         self.launch = DemandLaunch(

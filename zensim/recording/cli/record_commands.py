@@ -19,7 +19,6 @@ from zensim.proto.cli_options import (
     ConnectionOptions,
     JsonOption,
     LogFormatOption,
-    MetricsOptions,
     QuietOption,
     RosDomainOption,
     VerboseOption,
@@ -44,6 +43,7 @@ from zensim.proto.process_limits import limit_malloc_arenas
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.served_status import served_status
+from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import (
     CURRENT,
@@ -95,7 +95,7 @@ _snapshots = {"rich_help_panel": "Snapshots"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(ConnectionOptions, MetricsOptions):
+class RecordOptions(ConnectionOptions):
     """All options of `zensim record`."""
 
     topics: Annotated[
@@ -243,6 +243,7 @@ class RecordOptions(ConnectionOptions, MetricsOptions):
         ),
     ] = ""
     ros_domain: RosDomainOption = "0"
+    operation: MetricsSettings = USUAL_METRICS
     as_json: JsonOption = False
     quiet: QuietOption = False
     verbose: VerboseOption = False
@@ -283,7 +284,10 @@ def record_topics(given: RecordOptions) -> None:
         receive_in_one_thread()
         connect = (given.connect,) if given.connect else ()
         config = BusConfig(connect=connect, open_timeout_s=OPEN_TIMEOUT_S)
-        with served_status(given.choose_metrics("zensim record"), status), open_bus(config) as bus:
+        with (
+            served_status(given.operation.choose_metrics("zensim record"), status),
+            open_bus(config) as bus,
+        ):
             stop.arm()
             program = RecordProgram(bus, chosen, recorder_settings, settings)
             program.status = status
