@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import takewhile
 from typing import NamedTuple
 
 from benchmarks.figures import Figure, Limit
@@ -28,7 +29,6 @@ from tests.chaos.one_robot import (
 )
 from tests.integration.processes import Server, agent_of, end, eventually, kill, running
 from tests.integration.robots import robot
-from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import EVENTS
@@ -134,12 +134,18 @@ def _hang(server: Server, how: signal.Signals, phase: random.Random) -> Hang:
     return Hang(zeroed_s=zeroed_s, rest_s=rest_s, events=len(steps))
 
 
+def _wait_until_refused(agent: "subprocess.Popen[str]") -> None:
+    """Wait until an agent has asked for its robot, and says that another one has it."""
+    assert agent.stderr is not None
+    said = list(takewhile(lambda line: "waiting" not in line, agent.stderr))
+    assert agent.poll() is None, said
+
+
 def _take_over_s(server: Server) -> float:
     connected = ("--connect", server.endpoint)
     with _agent(server) as process:
         with running("agent", ROBOT, "--name", "second", "--wait", "60", *connected) as second:
-            token = keys.alive_agent("default", "second")
-            eventually(lambda: server.bus.list_tokens(token), 30.0, "waiting")
+            _wait_until_refused(second)
             drive_until_moving(server, robot(server.bus, ROBOT))
             kill(process.pid, signal.SIGSTOP)
             hung_s = server.client.info().sim_time_s

@@ -6,22 +6,24 @@ the server's process, read every ten seconds; its growth is the slope of the lin
 
 Then robots come and go as fast as possible, each kind on a server of its own: with new names or the
 same one, with a lidar or without sensors, with a subscriber that waits for a scan of each, with ROS
-2 or without, and driven by a pool whose odometry is awaited, beside a page. The growth of each
-process is the slope over the cycles after the first third, which fill caches.
+2 or without, and driven by a pool whose odometry is awaited, beside a page with a visitor. The
+growth of each process is the slope over the cycles after the first third, which fill caches.
 """
 
 import os
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import psutil
 
 from benchmarks.figures import Figure, Limit
+from tests.integration.page_user import PageUser
 from tests.integration.processes import START_S, Server, eventually, running, serving
 from tests.integration.sensor_runs import lidar_bot, running_sensors
+from tests.integration.test_view import viewing
 from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.topic_catalog import ODOM, SCAN, TopicSpec
@@ -51,7 +53,7 @@ class SoakKind:
         awaited: Topic whose first message is awaited before a robot is deleted.
         is_driven: Whether there is a pool of agents.
         has_ros: Whether there are ROS 2 keys and tokens.
-        has_page: Whether a page follows the world.
+        has_page: Whether a page follows the world for a visitor.
     """
 
     has_new_names: bool
@@ -132,8 +134,9 @@ def _soak_kind(kind: SoakKind, cycles: int, *, is_short: bool) -> Iterator[Figur
             pool = ("agent", "--pool", "0", "--quiet", *ros, "--connect", server.endpoint)
             programs["pool"] = stack.enter_context(running(*pool)).pid
         if kind.has_page:
-            page = ("view", "--port", "0", "--connect", server.endpoint)
-            programs["page"] = stack.enter_context(running(*page)).pid
+            url, page = stack.enter_context(viewing(server.endpoint))
+            stack.enter_context(closing(PageUser(url)))
+            programs["page"] = page.pid
         read = _cycle(server, kind, cycles, programs)
     for program, points in read.items():
         slope_b = find_slope([one for one in points if one[0] >= WARM_SHARE * cycles])
