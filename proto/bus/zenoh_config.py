@@ -23,6 +23,10 @@ CLIENT_LEASE_MS: Final = 2000
 ROUTER_LEASE_MS: Final = 10_000
 """Each side of a link waits for the lease that the other one announces. A host of ROS 2 that stalls
 for longer closes its link to us, and the calls that wait for a reply get none."""
+CLIENT_OPEN_TIMEOUT_MS: Final = 60_000
+"""Time of a handshake on which a client that lost its router gives up; Zenoh's default is 10 s. If
+it gives up while the router replies, the session is left with a transport that has none of its
+declarations: a router that is suspended for 30 s went on just when the second attempt ended."""
 MAX_QUERY_BYTES: Final = 4 << 20
 """A router ends a larger query without a reply at once; servers refuse it from 3 MiB on."""
 SIZE_LIMITS: Final = (
@@ -128,6 +132,8 @@ def make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "transport/link/tx/queue/size/data": BATCHES_OF_DATA,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": LINK_TIMEOUT_US,
     }
+    if config.mode == "client":
+        entries["transport/unicast/open_timeout"] = CLIENT_OPEN_TIMEOUT_MS
     if config.mode == "router":
         entries["transport/unicast/max_sessions"] = find_max_sessions(raise_file_limit())
         entries["transport/unicast/accept_timeout"] = ACCEPT_TIMEOUT_MS

@@ -68,7 +68,8 @@ def _round() -> dict[str, tuple[float, int]]:
         folder = stack.enter_context(TemporaryDirectory())
         server = stack.enter_context(running("serve", *there, "--journal", folder))
         found = stack.enter_context(run_driven_fleet(endpoint, ROBOTS_WHEN_SHORT))
-        waiting = stack.enter_context(running("agent", "r9", "--name", "patient", *there))
+        patient = ("agent", "r9", "--name", "patient", "--wait", str(START_S * 3.0))
+        waiting = stack.enter_context(running(*patient, *there))
         view = stack.enter_context(running("view", *there, "--port", "0"))
         assert view.stdout is not None
         page = stack.enter_context(connect_page(view.stdout.readline().split()[1]))
