@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -59,6 +60,7 @@ DRY_RUNS, BATCHES, SNAPPED = 0.2, 0.1, 0.5
 OWN_MESH = AssetRef(MESH_URI, sha256(make_mesh("stl")).hexdigest())
 BYSTANDER = "bystander"
 MUTANT = "mutant"
+SNAPSHOT_KEY = "sim/default/snapshot"
 MUTANT_AT = Point(20_000.0, 5_000.0, 1.0)
 SAFE_M = 10_000.0
 """A mutant that reaches farther is not stepped: it may touch the other robot."""
@@ -153,7 +155,9 @@ class FuzzedServer:
         return any(one.kind == "warning" and "frozen" in one.message for one in received)
 
     def _snapshot(self) -> Snapshot:
-        (sample,) = self._server.bus.get("sim/default/snapshot")
+        # A busy host may be late, or lose the link for a moment.
+        get = partial(self._server.bus.get, SNAPSHOT_KEY)
+        (sample,) = eventually(lambda: get() or None, START_S, "a snapshot")
         return decode(Snapshot, sample.payload, sample.encoding)
 
 
