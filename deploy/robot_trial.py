@@ -25,6 +25,7 @@ from zensim.proto.child_process import STDERR, reserve_stdout
 from zensim.proto.cli_options import parse_choice
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
+from zensim.proto.messages.drive_messages import COMPATS
 from zensim.proto.process_limits import die_with_parent
 from zensim.proto.rigid_transforms import find_yaw
 from zensim.proto.settings.engine_settings import ONE_CELL, EngineKeywords
@@ -43,7 +44,6 @@ from zensim.sim_server.description.urdf.independent_reading import (
     has_other_reader,
 )
 from zensim.sim_server.world.simulated_world import FROZEN_BY_FAULT, FROZEN_MESSAGE
-from zensim.spawner.cli.spawn_arguments import COMPATS
 from zensim.spawner.spawn.description_sources import parse_xacro_arguments
 
 if TYPE_CHECKING:

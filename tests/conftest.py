@@ -24,7 +24,7 @@ settings.load_profile("commit")
 
 ROOT = Path(__file__).parents[1]
 WAITING = (
-    *("tests/integration/", "tests/zensim/", "tests/spawner/cli/", "tests/deploy/"),
+    *("tests/integration/", "tests/zensim/", "tests/deploy/"),
     *("tests/mutation/", "tests/contract/test_wheel.py"),
 )
 """Files whose tests mostly wait for processes."""

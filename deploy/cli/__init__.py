@@ -25,205 +25,187 @@ class Verb(NamedTuple):
     panel: str
     """Title of its section in the help text."""
     module: str
-    """Module of its typer app."""
+    """Module of its typer app, in this folder."""
     summary: str
 
 
 VERBS: dict[str, Verb] = {
     "up": Verb(
         "Programs",
-        "zensim.deploy.cli.up_commands",
+        "up_commands",
         "Start a server, robots, agents and the viewer on this host.",
     ),
-    "down": Verb(
-        "Programs", "zensim.deploy.cli.down_commands", "End what 'zensim up' runs on this host."
-    ),
-    "serve": Verb("Programs", "zensim.sim_server.cli", "Start a simulation server."),
-    "router": Verb("Programs", "zensim.deploy.cli.router_commands", "Start a Zenoh router."),
+    "down": Verb("Programs", "down_commands", "End what 'zensim up' runs on this host."),
+    "serve": Verb("Programs", "serve_commands", "Start a simulation server."),
+    "router": Verb("Programs", "router_commands", "Start a Zenoh router."),
     "token": Verb(
         "Programs",
-        "zensim.deploy.cli.token_commands",
+        "token_commands",
         "Create, list, revoke and show join tokens of a secured server.",
     ),
     "join": Verb(
         "Programs",
-        "zensim.deploy.cli.join_commands",
+        "join_commands",
         "Keep a join token for later connections to its server.",
     ),
     "agent": Verb(
         "Programs",
-        "zensim.robot_agent.cli",
+        "agent_commands",
         "Drive robots: subscribe to cmd_vel, publish odom and tf.",
     ),
     "sensors": Verb(
         "Programs",
-        "zensim.deploy.cli.sensor_program",
+        "sensor_program",
         "List sensors, or run a process that publishes lidars and cameras.",
     ),
     "view": Verb(
         "Programs",
-        "zensim.deploy.cli.page_program",
+        "page_program",
         "Serve a web page that shows the world in 3D.",
     ),
-    "spawn": Verb("Entities", "zensim.spawner.cli.spawn_commands", "Spawn one robot or object."),
-    "fleet": Verb(
-        "Entities", "zensim.spawner.cli.spawn_commands", "Spawn several robots of one model."
-    ),
-    "list": Verb("Entities", "zensim.spawner.cli.entity_commands", "List entities."),
-    "inspect": Verb(
-        "Entities", "zensim.spawner.cli.entity_commands", "Show the details of one entity."
-    ),
-    "delete": Verb("Entities", "zensim.spawner.cli.entity_commands", "Delete entities."),
+    "spawn": Verb("Entities", "spawn_commands", "Spawn one robot or object."),
+    "fleet": Verb("Entities", "spawn_commands", "Spawn several robots of one model."),
+    "list": Verb("Entities", "entity_commands", "List entities."),
+    "inspect": Verb("Entities", "entity_commands", "Show the details of one entity."),
+    "delete": Verb("Entities", "entity_commands", "Delete entities."),
     "set": Verb(
         "Entities",
-        "zensim.spawner.cli.set_commands",
+        "set_commands",
         "Set pose, velocity, category, tags or description of an entity.",
     ),
     "map": Verb(
         "Simulation",
-        "zensim.spawner.cli.map_commands",
+        "map_commands",
         "Write a map of the world for Nav2's map_server.",
     ),
-    "pause": Verb("Simulation", "zensim.spawner.cli.simulation_commands", "Pause the simulation."),
-    "play": Verb(
-        "Simulation", "zensim.spawner.cli.simulation_commands", "Start or resume the simulation."
-    ),
+    "pause": Verb("Simulation", "simulation_commands", "Pause the simulation."),
+    "play": Verb("Simulation", "simulation_commands", "Start or resume the simulation."),
     "stop": Verb(
         "Simulation",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Reset the simulation, delete spawned entities, and stop.",
     ),
     "reset": Verb(
         "Simulation",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Reset time, entity states and spawned entities.",
     ),
     "step": Verb(
         "Simulation",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Advance a paused simulation by a number of steps.",
     ),
     "run-to": Verb(
         "Simulation",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Advance a paused simulation to a given time.",
     ),
     "rtf": Verb(
         "Simulation",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Get or set the target real-time factor.",
     ),
     "world": Verb(
         "Simulation",
-        "zensim.deploy.cli.inspect_commands",
+        "inspect_commands",
         "Load, unload, list and inspect worlds.",
     ),
-    "drive": Verb(
-        "Topics", "zensim.spawner.cli.topic_commands", "Publish velocity commands to a robot."
-    ),
+    "drive": Verb("Topics", "topic_commands", "Publish velocity commands to a robot."),
     "teleop": Verb(
         "Topics",
-        "zensim.spawner.cli.teleop_commands",
+        "teleop_commands",
         "Drive robots by keyboard and gamepad.",
     ),
     "topic": Verb(
         "Topics",
-        "zensim.spawner.cli.topic_group_commands",
+        "topic_group_commands",
         "List, inspect, print, measure and publish topics.",
     ),
-    "echo": Verb("Topics", "zensim.spawner.cli.topic_commands", "Print the messages of a topic."),
-    "hz": Verb(
-        "Topics", "zensim.spawner.cli.topic_commands", "Measure the message rate of a topic."
-    ),
+    "echo": Verb("Topics", "topic_commands", "Print the messages of a topic."),
+    "hz": Verb("Topics", "topic_commands", "Measure the message rate of a topic."),
     "foxglove": Verb(
         "Programs",
-        "zensim.foxglove.cli",
+        "foxglove_commands",
         "Serve the topics of a world to Foxglove.",
     ),
     "vda5050": Verb(
         "Programs",
-        "zensim.vda5050.cli",
+        "vda_commands",
         "Serve robots as VDA 5050 vehicles to a fleet manager, by MQTT.",
     ),
     "record": Verb(
         "Recordings",
-        "zensim.recording.cli.record_commands",
+        "record_commands",
         "Record topics to MCAP files.",
     ),
     "replay": Verb(
         "Recordings",
-        "zensim.recording.cli.replay_commands",
+        "replay_commands",
         "Publish a recording again, with a clock.",
     ),
     "bag": Verb(
         "Recordings",
-        "zensim.recording.cli.bag_commands",
+        "bag_commands",
         "Inspect and recover recordings.",
     ),
     "resim": Verb(
         "Recordings",
-        "zensim.deploy.cli.resim_commands",
+        "resim_commands",
         "Run a recording again in the engine, and compare the states.",
     ),
-    "features": Verb(
-        "Diagnostics", "zensim.spawner.cli.simulation_commands", "List the features of the server."
-    ),
+    "features": Verb("Diagnostics", "simulation_commands", "List the features of the server."),
     "top": Verb(
         "Diagnostics",
-        "zensim.spawner.cli.top_commands",
+        "top_commands",
         "Show robots and processes: rates, real-time factor, CPU time, memory.",
     ),
     "stats": Verb(
         "Diagnostics",
-        "zensim.spawner.cli.simulation_commands",
+        "simulation_commands",
         "Print the counts and times of the server.",
     ),
-    "doctor": Verb(
-        "Diagnostics", "zensim.spawner.cli.doctor_commands", "Diagnose connection problems."
-    ),
+    "doctor": Verb("Diagnostics", "doctor_commands", "Diagnose connection problems."),
     "model": Verb(
         "Diagnostics",
-        "zensim.deploy.cli.model_commands",
+        "model_commands",
         "Parse a robot description and print the result, without a server.",
     ),
     "check": Verb(
         "Diagnostics",
-        "zensim.deploy.cli.check_commands",
+        "check_commands",
         "Spawn and drive the robots of a folder, and print what they do.",
     ),
     "test": Verb(
         "Scenarios",
-        "zensim.deploy.cli.scenario_test_commands",
+        "scenario_test_commands",
         "Run scenario files and report their checks.",
     ),
     "sweep": Verb(
         "Scenarios",
-        "zensim.deploy.cli.sweep_commands",
+        "sweep_commands",
         "Run a scenario with many values, seeds and repeats.",
     ),
     "scenario": Verb(
         "Scenarios",
-        "zensim.deploy.cli.scenario_commands",
+        "scenario_commands",
         "Check scenario files, print their schema, list the shipped ones.",
     ),
     "export": Verb(
         "Scenarios",
-        "zensim.deploy.cli.export_commands",
+        "export_commands",
         "Write a running world as a scenario file.",
     ),
     "journal": Verb(
         "Diagnostics",
-        "zensim.deploy.cli.journal_commands",
+        "journal_commands",
         "Show, verify or export a server journal.",
     ),
     "config": Verb(
         "Diagnostics",
-        "zensim.deploy.cli.config_commands",
+        "config_commands",
         "Show the settings of a command, and where they come from.",
     ),
-    "version": Verb(
-        "Diagnostics", "zensim.deploy.cli.version_commands", "Print the versions of all parts."
-    ),
+    "version": Verb("Diagnostics", "version_commands", "Print the versions of all parts."),
 }
 
 HELP_HEAD = """Usage: zensim [OPTIONS] COMMAND [ARGS]...
@@ -304,7 +286,7 @@ def build(called: str) -> "typer.Typer":
 
 def _add_verb(app: "typer.Typer", name: str, verb: Verb) -> None:
     """Add a command of a module; an app that has the name of the verb is a group of commands."""
-    loaded: typer.Typer = importlib.import_module(verb.module).app
+    loaded: typer.Typer = importlib.import_module(f"{__name__}.{verb.module}").app
     if loaded.info.name == name:
         app.add_typer(loaded, name=name, help=verb.summary, rich_help_panel=verb.panel)
         return
@@ -350,7 +332,7 @@ def _run_plainly(arguments: Sequence[str]) -> bool:
 
         return _run_with_options(ModelOptions, print_model, arguments[1:])
     if arguments[:1] == ["record"]:
-        from zensim.recording.cli.record_commands import RecordOptions, record_topics
+        from zensim.deploy.cli.record_commands import RecordOptions, record_topics
 
         # The libraries by which typer converts values have a fifth of its memory.
         return _run_with_options(RecordOptions, record_topics, arguments[1:])

@@ -12,6 +12,13 @@ import msgspec
 import typer
 
 from zensim.deploy.check_report import format_markdown, format_table, to_json, to_junit
+from zensim.deploy.cli.spawn_arguments import (
+    DescriptionOptions,
+    DynamicsOption,
+    make_search_paths,
+    parse_compat,
+    parse_dynamics,
+)
 from zensim.deploy.robot_checks import (
     PASSED,
     CheckRow,
@@ -38,13 +45,6 @@ from zensim.sim_server.physics.engine_config import (
 )
 from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.spawn_arguments import (
-    DescriptionOptions,
-    DynamicsOption,
-    make_search_paths,
-    parse_compat,
-    parse_dynamics,
-)
 
 app = make_app()
 

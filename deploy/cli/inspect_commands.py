@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
+from zensim.deploy.cli.world_commands import app
 from zensim.proto.cli_options import (
     JsonOption,
     expand_options,
@@ -19,7 +20,6 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import USUAL_ENGINE, EngineChoice
 from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.world_commands import app
 
 if TYPE_CHECKING:
     from zensim.sim_server.world_loading.world_inspection import WorldInspection

@@ -7,6 +7,13 @@ from typing import Annotated
 import msgspec
 import typer
 
+from zensim.deploy.cli.spawn_arguments import (
+    DescriptionOptions,
+    SpawnSource,
+    make_search_paths,
+    parse_compat,
+    read_local_description,
+)
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
@@ -14,13 +21,6 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.spawn_arguments import (
-    DescriptionOptions,
-    SpawnSource,
-    make_search_paths,
-    parse_compat,
-    read_local_description,
-)
 from zensim.spawner.spawn.asset_bundle import read_assets
 from zensim.spawner.spawn.description_xml import count_elements, parse_description
 from zensim.spawner.spawn.spawn_client import make_payload

@@ -10,17 +10,17 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from zensim.proto.cli_options import expand_options, make_app
-from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.stop_signal import StopFlag
-from zensim.proto.verbosity import configure_logging
-from zensim.spawner.cli.view_commands import (
+from zensim.deploy.cli.view_commands import (
     MissingViewerExtra,
     PageSource,
     ViewOptions,
     open_world,
     serve_page,
 )
+from zensim.proto.cli_options import expand_options, make_app
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.stop_signal import StopFlag
+from zensim.proto.verbosity import configure_logging
 
 app = make_app()
 _replay = partial(typer.Option, rich_help_panel="Replay")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from zensim.deploy.cli.sensor_commands import app
 from zensim.proto.cli_options import (
     ConnectOption,
     JsonOption,
@@ -21,7 +22,6 @@ from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSetti
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.sensor_commands import app
 
 __all__ = ["app"]
 

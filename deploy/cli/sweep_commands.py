@@ -16,6 +16,7 @@ import msgspec
 import typer
 from typer.core import TyperGroup
 
+from zensim.deploy.cli.plot_commands import SUFFIXES, MissingPlotExtra
 from zensim.deploy.cli.scenario_commands import PythonOption, RunTimeoutOption
 from zensim.deploy.scenario_process import RunRequest, run_in_processes
 from zensim.deploy.sweep.ray_runs import MissingRayExtra, check_cluster, require_ray, run_on_ray
@@ -30,7 +31,6 @@ from zensim.proto.cli_options import JsonOption, SetOption, expand_options, flag
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
-from zensim.recording.cli.plot_commands import SUFFIXES, MissingPlotExtra
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import find_scenario_file
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra

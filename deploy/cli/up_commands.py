@@ -33,6 +33,16 @@ from zensim.api.local_deployment import (
     summarize_run,
     supervise,
 )
+from zensim.deploy.cli.command_session import PrintableConsole
+from zensim.deploy.cli.serve_commands import ServeOptions, print_users
+from zensim.deploy.cli.spawn_arguments import (
+    ControllersOption,
+    DriveOption,
+    LayoutOption,
+    SpacingOption,
+    make_placements,
+)
+from zensim.deploy.cli.view_commands import MissingViewerExtra, check_page
 from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, MovingBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
 from zensim.proto.cli_options import (
@@ -65,7 +75,6 @@ from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.topic_catalog import read_ros_settings
 from zensim.proto.verbosity import CURRENT
 from zensim.proto.web_access import split_token
-from zensim.sim_server.cli import ServeOptions, print_users
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
     open_secure_folder,
@@ -74,15 +83,6 @@ from zensim.sim_server.security.secure_folder import (
 )
 from zensim.sim_server.server_config import to_mesh_endpoint
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
-from zensim.spawner.cli.command_session import PrintableConsole
-from zensim.spawner.cli.spawn_arguments import (
-    ControllersOption,
-    DriveOption,
-    LayoutOption,
-    SpacingOption,
-    make_placements,
-)
-from zensim.spawner.cli.view_commands import MissingViewerExtra, check_page
 from zensim.spawner.spawn.spawn_poses import LAYOUTS, RobotPlacement
 
 # What few runs need is imported where it is used, as this process lives as long as its world.

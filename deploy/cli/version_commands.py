@@ -3,6 +3,7 @@
 import platform
 import sys
 
+from zensim.deploy.cli.command_session import print_json
 from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
@@ -12,7 +13,6 @@ from zensim.sim_server.physics.engine_config import (
     explain_default,
     find_installed_engines,
 )
-from zensim.spawner.cli.command_session import print_json
 
 app = make_app()
 

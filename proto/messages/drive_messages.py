@@ -4,13 +4,14 @@ The garbage collector does not track them, as `model_messages` says.
 """
 
 from enum import IntEnum
-from typing import Literal
+from typing import Final, Literal, get_args
 
 import msgspec
 
 OdometrySource = Literal["encoder", "world"]
 ActuatorMode = Literal["velocity", "position", "twist", "joint"]
 Compat = Literal["fixed", "gazebo11"]
+COMPATS: Final[tuple[Compat, ...]] = get_args(Compat)
 """Corrected behaviour, or that of Gazebo 11 with its documented errors."""
 PAIR_SIZE = 2
 """Number of wheels of a pair."""

@@ -7,12 +7,12 @@ import msgspec
 import pytest
 
 from tests.contract.repository import ROOT, files, shown, text_of
+from zensim.deploy.cli.topic_commands import to_plain
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.network_protocols import Sample
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.schema import SCHEMAS
 from zensim.proto.topic_catalog import TOPICS, Participant, TopicScope, TopicSpec
-from zensim.spawner.cli.topic_commands import to_plain
 
 PACKAGES = {
     Participant.SERVER: "sim_server/",

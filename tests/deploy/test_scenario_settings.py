@@ -7,6 +7,7 @@ import pytest
 from msgspec import inspect
 
 from zensim.api.local_deployment import LaunchConfig, make_agent_starts, make_serve_arguments
+from zensim.deploy.cli.serve_commands import ServeOptions
 from zensim.deploy.cli.up_commands import UpOptions
 from zensim.deploy.scenario_settings import (
     KEYS_OF_OPTIONS,
@@ -21,7 +22,6 @@ from zensim.scenario.scenario_format import ScenarioFormat
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 from zensim.scenario.setting_sections import AgentsSection
 from zensim.scenario.typed_reading import find_type
-from zensim.sim_server.cli import ServeOptions
 
 TEXT = """
 zensim: 1

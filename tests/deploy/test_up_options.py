@@ -8,6 +8,7 @@ import pytest
 
 from tests.zensim.api.test_local_deployment import DEFAULTS
 from zensim.api.local_deployment import LaunchConfig, make_serve_arguments
+from zensim.deploy.cli.serve_commands import ServeOptions
 from zensim.deploy.cli.up_commands import UpOptions, make_config
 from zensim.proto.settings.deployment_settings import ServeSettings
 from zensim.proto.settings.setting import (
@@ -16,7 +17,6 @@ from zensim.proto.settings.setting import (
     is_settings,
     list_settings,
 )
-from zensim.sim_server.cli import ServeOptions
 
 CHANGED: dict[str, object] = {
     "journal": "journal",

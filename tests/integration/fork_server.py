@@ -28,9 +28,9 @@ from tests.contract.repository import ROOT
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 PRELOADED = (
-    *("zensim.deploy.cli", "zensim.sim_server.cli", "zensim.sim_server.server"),
+    *("zensim.deploy.cli", "zensim.deploy.cli.serve_commands", "zensim.sim_server.server"),
     *(
-        "zensim.robot_agent.cli",
+        "zensim.deploy.cli.agent_commands",
         "zensim.robot_agent.agent",
         "zensim.robot_agent.pool.pooled_robots",
     ),

@@ -40,7 +40,7 @@ RULES = {
     "sim_server/server_config.py": ZENOH,
     "spawner/page/page_server.py": PAGE,
     "zensim/foxglove/foxglove_server.py": PAGE,
-    "zensim/recording/cli/replay_commands.py": LOOPBACK,
+    "deploy/cli/replay_commands.py": LOOPBACK,
 }
 """Modules that listen, and what decides who may connect."""
 NOT_SOCKETS = frozenset({"robot_agent/pool/pooled_robots.py"})

@@ -24,6 +24,7 @@ from tests.integration.processes import (
 from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.api.recorder_process import RecorderProcess
+from zensim.deploy.cli.record_commands import RecordProgram
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus, open_bus
@@ -32,7 +33,6 @@ from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.standard_messages import TFMessage
 from zensim.proto.topic_catalog import INPUTS, TF
 from zensim.recording import fleet_robots
-from zensim.recording.cli.record_commands import RecordProgram
 from zensim.recording.recorder import RecorderSettings
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_reader import RecordingReader

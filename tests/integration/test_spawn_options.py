@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.deploy.cli.commands import run_at
 from tests.integration.processes import (
     END_S,
     Server,
@@ -20,14 +21,13 @@ from tests.integration.processes import (
     without_libraries,
     zensim,
 )
-from tests.spawner.cli.commands import run_at
 from tests.spawner.packages import make_package, robot_of
+from zensim.deploy.cli.spawn_commands import app
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.standard_messages import String
-from zensim.spawner.cli.spawn_commands import app
 from zensim.spawner.spawn.spawn_client import read_payload
 
 BOX = (

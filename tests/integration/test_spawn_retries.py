@@ -7,11 +7,11 @@ import pytest
 
 import zensim
 from tests.integration.processes import START_S, eventually, running, serving
+from zensim.deploy.cli import spawn_commands
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.service_catalog import SPAWN_ENTITY
-from zensim.spawner.cli import spawn_commands
 from zensim.spawner.client import service_client
 
 GIVES_UP_S = 0.3

@@ -27,12 +27,12 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
+from zensim.deploy.cli.view_commands import PAGE_NICENESS
 from zensim.proto.bus.bus_errors import TooFewFiles
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.web_access import name_cookie
 from zensim.recording.bag_info import read_info
 from zensim.sim_server.security.secure_folder import open_secure_folder
-from zensim.spawner.cli.view_commands import PAGE_NICENESS
 from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:

@@ -1,0 +1,123 @@
+"""`zensim bag convert`: split, merge, filter and re-compress recordings."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import typer
+
+from zensim.deploy.cli.recording_options import (
+    ExcludeRegexOption,
+    ExcludeTopicsOption,
+    MaxBagDurationOption,
+    MaxBagSizeOption,
+    RegexOption,
+    StartOffsetOption,
+    StorageProfileOption,
+    find_end_ns,
+)
+from zensim.proto.cli_options import JsonOption, expand_options, parse_choice
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.printable_text import print_lines
+from zensim.proto.verbosity import print_note
+from zensim.recording.byte_sizes import parse_size
+from zensim.recording.conversion import ConversionSettings, convert_recordings
+from zensim.recording.mcap_writer import DEFAULT_PRESET, PRESETS
+from zensim.recording.recording_parts import PartSettings
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.topic_selection import TopicFilter, TopicSelection
+
+CONVERT_EXAMPLES: Final = """Examples:
+  zensim bag convert run.mcap -o short.mcap --start-offset 30 --duration 10
+  zensim bag convert run -o parts --max-bag-size 500MB --storage-preset-profile zstd_small
+  zensim bag convert day1.mcap day2.mcap -o both.mcap --regex '/odom$' """
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions:
+    """All options of `zensim bag convert`."""
+
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="PATH", help="Files or folders; several are merged by log time."),
+    ]
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER|FILE.mcap",
+            help="New folder with metadata.yaml as of rosbag2, or one file.",
+        ),
+    ]
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TOPIC...", help="Only these topics, such as '*/odom'."),
+    ] = None
+    regex: RegexOption = ""
+    exclude_regex: ExcludeRegexOption = ""
+    exclude_topics: ExcludeTopicsOption = None
+    start_offset: StartOffsetOption = 0.0
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help=r"Recorded time to copy \[s].", show_default="to the end"
+        ),
+    ] = None
+    max_bag_size: MaxBagSizeOption = "0"
+    max_bag_duration: MaxBagDurationOption = 0.0
+    storage_preset_profile: StorageProfileOption = DEFAULT_PRESET
+    as_json: JsonOption = False
+
+
+@expand_options
+def convert_command(given: ConvertOptions) -> None:
+    """Write recordings to a new one: split, merged, filtered, or compressed otherwise."""
+    with exit_on_failure("bag convert"):
+        settings = make_conversion_settings(given)
+        readers = [RecordingReader(path) for path in given.paths]
+        for file in (file for reader in readers for file in reader.unclosed):
+            print_note("bag", f"{file} was never closed, and is read in whole")
+        result = convert_recordings(readers, settings)
+    if result.damaged:
+        print_note("bag", f"{result.damaged} damaged places were left out")
+    if given.as_json:
+        print_lines(msgspec.json.encode(result).decode())
+    else:
+        size = f"{result.bytes / 1e6:.1f} MB"
+        print_lines(
+            f"{result.output}: {result.messages} messages of {result.topics} topics, {size}"
+        )
+
+
+def make_conversion_settings(given: ConvertOptions) -> ConversionSettings:
+    """Make the settings of the options.
+
+    Raises:
+        ValueError: One is not valid.
+    """
+    preset = parse_choice("--storage-preset-profile", given.storage_preset_profile, tuple(PRESETS))
+    start_ns, end_ns = round(given.start_offset * NANOSECONDS), LAST_NS
+    if given.duration is not None:
+        end_ns = find_end_ns("--duration", given.start_offset, given.duration)
+    is_named = bool(given.topics or given.regex)
+    selection = TopicSelection(
+        topics=tuple(given.topics or ()),
+        wants_all=not is_named,
+        regex=given.regex,
+        exclude_regex=given.exclude_regex,
+        exclude_topics=tuple(given.exclude_topics or ()),
+    )
+    return ConversionSettings(
+        chosen=TopicFilter(selection),
+        start_ns=start_ns,
+        end_ns=end_ns,
+        parts=PartSettings(
+            path=given.output,
+            max_bytes=parse_size("--max-bag-size", given.max_bag_size),
+            max_duration_ns=round(given.max_bag_duration * NANOSECONDS),
+            chunks=PRESETS[preset],
+        ),
+    )
