@@ -77,10 +77,7 @@ class EditPanel(Panel):
         self._model.on_update(self._client.defer(self._mark_model))
         self._pictures, self._mark = gui.add_html(""), gui.add_html("")
         self._client.choose_model = self._choose_model
-        self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
         self._count = gui.add_number("Count", 1, min=1, max=MAX_COUNT, step=1)
-        self._layout = gui.add_dropdown("Layout", LAYOUTS)
-        self._spacing = gui.add_number("Spacing [m]", 1.0, min=0.1, max=100.0, step=0.1)
         self._place = gui.add_vector2(
             "Place x, y [m]",
             (0.0, 0.0),
@@ -88,9 +85,13 @@ class EditPanel(Panel):
             max=(MAX_POSITION_M,) * 2,
             step=0.1,
         )
-        self._heading = gui.add_number("Heading [deg]", 0.0, min=-360.0, max=360.0, step=5.0)
         self._add_button("Place by click", self.pick_place, "Then click the floor.", MUTED_BUTTON)
         self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
+        with gui.add_folder("Name, layout, heading", expand_by_default=False):
+            self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
+            self._layout = gui.add_dropdown("Layout", LAYOUTS)
+            self._spacing = gui.add_number("Spacing [m]", 1.0, min=0.1, max=100.0, step=0.1)
+            self._heading = gui.add_number("Heading [deg]", 0.0, min=-360.0, max=360.0, step=5.0)
 
     def _add_selection_controls(self) -> None:
         gui = self._client.gui

@@ -263,6 +263,26 @@ function refresh() {
     places(part).forEach((place) => { if (!place.firstChild) fill(place); });
   }
   places("head").forEach(showHead);
+  centreAboveSheet();
+}
+
+// ---- Phone: the picture has its middle in what the sheet leaves free.
+
+const SHEET = ".mantine-Paper-root[style*='position: fixed'][style*='bottom: 0']";
+let shifted = "";
+
+function centreAboveSheet() {
+  const page = window.__viserMutable, camera = page && page.camera;
+  if (!camera || !camera.setViewOffset) return;
+  const sheet = matchMedia("(max-width: 640px)").matches && document.querySelector(SHEET);
+  const {clientWidth: width, clientHeight: height} = page.canvas;
+  const shift = sheet ? Math.round(Math.min(sheet.offsetHeight, height / 2) / 2) : 0;
+  const now = `${width} ${height} ${shift}`;
+  if (now === shifted) return;
+  shifted = now;
+  if (shift) camera.setViewOffset(width, height, 0, shift, width, height);
+  else camera.clearViewOffset();
+  page.requestRender();
 }
 
 addEventListener("DOMContentLoaded", () => {

@@ -93,10 +93,38 @@ STYLE: Final = """
 @media (max-width: 640px) {
   #zensim-tools { bottom: auto; top: 12px; flex-direction: column-reverse; }
 }
-/* Rows of lists, for which viser has one colour in both themes. */
-[data-mantine-color-scheme=light] .mantine-Button-root[style*="#424750"]:not(:disabled) {
-  --button-bg: #e6eaef !important; --button-hover: #d5dbe3 !important;
-  --button-color: #23272e !important; --button-bd: 1px solid #b4bcc7 !important; }
+/* Controls of viser: a row each, a switch at its end, buttons and fields as those of the page. */
+.mantine-Text-root:has(> label) { color: var(--zensim-text) !important;
+  font-size: 13px !important; }
+.mantine-Flex-root:has(> div .mantine-Checkbox-root) { justify-content: space-between;
+  min-height: 30px; }
+.mantine-Flex-root:has(> div .mantine-Checkbox-root) > div:first-child { width: auto !important;
+  flex: 1; }
+.mantine-Flex-root:has(> div .mantine-Checkbox-root) > div:last-child { line-height: 0;
+  flex-grow: 0 !important; }
+.mantine-Flex-root label { cursor: pointer; }
+.mantine-Checkbox-inner, .mantine-Checkbox-input { width: 36px !important;
+  height: 20px !important; }
+.mantine-Checkbox-input { cursor: pointer; border-radius: 10px !important;
+  border: 1px solid var(--mantine-color-dimmed) !important;
+  background: radial-gradient(circle at 9px 50%, var(--mantine-color-dimmed) 6px, transparent 7px)
+    var(--zensim-raised) !important; }
+.mantine-Checkbox-input:checked { border-color: #2f6fb3 !important;
+  background: radial-gradient(circle at 25px 50%, #fff 6px, transparent 7px) #2f6fb3 !important; }
+.mantine-Checkbox-input:focus-visible { outline: 3px solid #4a90e2; outline-offset: 1px; }
+.mantine-Checkbox-icon { display: none; }
+.mantine-Button-root { border-radius: 6px !important; min-height: 32px; height: auto !important; }
+.mantine-Button-root[style*="#424750"]:not(:disabled) {
+  --button-bg: var(--zensim-raised) !important; --button-hover: var(--zensim-on) !important;
+  --button-color: var(--zensim-text) !important;
+  --button-bd: 1px solid var(--zensim-edge) !important; }
+.mantine-Input-input { border-radius: 6px !important; background: none !important;
+  border-color: var(--zensim-edge) !important; min-height: 30px !important;
+  color: var(--zensim-text) !important; }
+.zensim-folder { border: 0 !important; border-top: 1px solid var(--zensim-edge) !important;
+  border-radius: 0 !important; margin: 10px 0 0 !important; padding-top: 30px; }
+.zensim-folder > .zensim-fold { transform: none; top: 7px; left: .7em; padding: 0 !important;
+  font-weight: 600; font-size: 13px; background: none; }
 .mantine-Notification-description {
   color: var(--mantine-color-dimmed) !important; }
 /* The head: state, time, factor and robots, and the buttons of the simulation. */
@@ -170,7 +198,6 @@ STYLE: Final = """
 .uplot .u-legend { margin: 0 !important; font-size: 11px !important; text-align: left; }
 /* One letter spacing, one radius; numbers at the ends of sliders would lie over their thumbs. */
 label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !important; }
-.mantine-Button-root { border-radius: 6px; }
 .mantine-Slider-markLabel { display: none; }
 /* The scroll bar of the panel covers nothing. */
 .mantine-ScrollArea-scrollbar[data-orientation=vertical] { width: 6px !important;
@@ -196,23 +223,20 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
   .mantine-Tabs-tab { flex: 1 1 auto; padding: 0 4px !important; }
   [data-zensim-part] :is(button, input) { min-height: 44px; }
   .zensim-rows, .zensim-rows.is-short { max-height: 40vh; }
-
   .mantine-Button-root, .mantine-ActionIcon-root, .mantine-Input-input, .mantine-Tabs-tab,
   .mantine-Checkbox-inner, .mantine-Checkbox-input {
     min-width: 44px !important; min-height: 44px !important; }
   .mantine-NumberInput-controls { display: none !important; }
   .mantine-NumberInput-root { min-width: 44px; }
   .mantine-NumberInput-input { padding-right: .5em !important; }
-  .mantine-Checkbox-input { border: 11px solid transparent !important; border-radius: 14px;
-    background-clip: padding-box !important; outline: 1px solid var(--mantine-color-dimmed);
-    outline-offset: -11px; }
-  .mantine-Checkbox-icon { width: 14px !important; }
+  .mantine-Checkbox-input { border: solid transparent !important; border-width: 12px 4px !important;
+    border-radius: 22px !important; background-clip: padding-box !important; }
   .mantine-Slider-root { padding: 14px 22px 10px !important; width: 0; min-width: 0; }
   .mantine-Slider-thumb { width: 44px !important; height: 44px !important; border: 0 !important;
     background: radial-gradient(circle, var(--mantine-primary-color-filled) 8px,
       transparent 9px) !important; }
   .zensim-fold { min-height: 44px; display: flex; align-items: center; min-width: 44px; }
-  .zensim-folder { margin-top: 26px !important; padding-top: 22px; }
+  .zensim-folder { padding-top: 48px; }
 }
 """
 

@@ -52,7 +52,7 @@ class PlotPanel(Panel):
         gui = client.gui
         self._note = gui.add_html(make_note_html(()))
         self._boxes = {
-            title: gui.add_checkbox(title, initial_value=False, hint=f"Plot it: {title.lower()}.")
+            title: gui.add_checkbox(title, title == "Speed", hint=f"Plot it: {title.lower()}.")
             for title in CHARTS
         }
         self._sensor = gui.add_dropdown(
@@ -69,7 +69,7 @@ class PlotPanel(Panel):
         if time.monotonic() < self._next_at:
             return
         self._next_at = time.monotonic() + PLOT_PERIOD_S
-        if not any(box.value for box in self._boxes.values()) and self._sensor.value == NO_SENSOR:
+        if not self._is_plotting() and self._sensor.value == NO_SENSOR:
             self._show()
             return
         values = {FACTOR: state.status.real_time_factor}
@@ -93,6 +93,10 @@ class PlotPanel(Panel):
         self._sensor.options = (NO_SENSOR, *self._topics)
         self._note.content = make_note_html(self._list_plotted())
         self._watch()
+
+    def _is_plotting(self) -> bool:
+        is_on = [title for title, box in self._boxes.items() if box.value]
+        return "Real-time factor" in is_on or bool(is_on and self._client.selected)
 
     def _watch(self) -> None:
         watch = self._topics.get(self._sensor.value)

@@ -324,17 +324,16 @@ def fit_camera(view: View, *, aspect: float, fov_rad: float) -> tuple[Array, Arr
     right, up, ahead = _find_view_axes(high - low, azimuth, view.elevation_rad)
     half_height = float(np.tan(fov_rad / 2.0))
     along = points @ ahead
-    # A narrow image is free above the sheet only, so the axis of the camera points below it.
+    # On a phone the page has the axis of the camera in the middle of what its sheet leaves free.
     covered = SHEET_SHARE if aspect < PHONE_ASPECT else 0.0
-    shift, room = covered * half_height, (1.0 - covered) * half_height
-    sideways, upward = points @ right, points @ up - shift * along
+    sideways, upward = points @ right, points @ up
     depth = min(
         _find_depth(sideways, along, FILLED_WIDTH * half_height * aspect),
-        _find_depth(upward, along, FILLED_HEIGHT * room),
+        _find_depth(upward, along, FILLED_HEIGHT * (1.0 - covered) * half_height),
         float(along.min()) - LEAST_DISTANCE_M,
     )
     across = _find_middle(sideways, along - depth)
-    above = _find_middle(upward, along - depth) + shift * depth
+    above = _find_middle(upward, along - depth)
     offset = across * right + above * up + depth * ahead
     reach = max(float(-offset[2] / ahead[2]), LEAST_DISTANCE_M)
     return centre + offset, centre + offset + reach * ahead

@@ -65,7 +65,7 @@ class ViewPanel(Panel):
         self._labels = NameLabels(client)
         self._has_names = client.gui.add_checkbox(
             "Names",
-            initial_value=False,
+            initial_value=True,
             hint=f"Show the names of the {MAX_NAMES} robots nearest to the camera.",
         )
         self._overlays: Mapping[str, Overlay] = {

@@ -190,6 +190,17 @@ WINDOWS = {
     "wide-light": (WIDE, "light"),
     "phone-dark": (PHONE, "dark"),
 }
+IS_ABOVE_SHEET = """
+(() => {
+  const {camera, canvas, nodeRefFromName} = window.__viserMutable;
+  const label = nodeRefFromName["/names/box_bot2"].matrixWorld;
+  const seen = camera.position.clone().setFromMatrixPosition(label).project(camera);
+  const sheet = document.querySelector(".mantine-Paper-root[style*='position: fixed']");
+  const y = (1 - seen.y) / 2 * canvas.getBoundingClientRect().height;
+  return Math.abs(seen.x) < 0.5 && y > 0 && y < 0.8 * sheet.getBoundingClientRect().top;
+})()
+"""
+"""Whether the name of the robot is in the middle of the picture, above the sheet."""
 ONE_THEME = ("wide-dark", "phone-light")
 """A theme changes colours only; the first windows, so that a page stays open for all its tests."""
 at_each_size = pytest.mark.parametrize("tab", ONE_THEME, indirect=True)
@@ -329,6 +340,13 @@ def test_targets_are_large_on_a_phone(phone: Tab, title: str) -> None:
     turn_to(phone, title)
 
     find_none(phone, SMALL % {"px": LEAST_TARGET_PX})
+
+
+def test_selected_robot_is_in_sight_above_the_sheet(phone: Tab) -> None:
+    turn_to(phone, "Entities")
+    tap(phone, PLACE_OF_BUTTON % "box_bot2")
+
+    phone.until(IS_ABOVE_SHEET, PATIENCE_S)
 
 
 def test_a_robot_is_selected_driven_and_stopped_on_a_phone(phone: Tab, server: Server) -> None:

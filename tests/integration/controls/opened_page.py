@@ -59,18 +59,17 @@ HAS_NODE = """Object.entries(window.__viserSceneTree.getState()).some(([path, no
 """Whether the scene has a node, other than an empty parent, whose path begins so."""
 SELECT_ALONE = """
 (() => {
-  const now = performance.now(), named = Object.keys(window.__viserSceneTree.getState())
-    .filter((one) => one.startsWith("/names/")).map((one) => one.slice(7));
+  const now = performance.now(), marked = window.zensimMarked || [];
   if (!(window.zensimAskedAt > now - 3000)) {
     window.zensimAskedAt = now;
     window.__viserMutable.sendMessage({type: "ZensimSelect", entity: "%s"});
   }
-  const isDone = named.join() === "%s";
+  const isDone = marked.join() === "%s";
   if (isDone) window.zensimAskedAt = -Infinity;
   return isDone;
 })()
 """
-"""Selects an entity or none; whether its name alone is shown. Asks again rarely."""
+"""Selects an entity or none; whether it alone is marked in the list. Asks again rarely."""
 DRAW_WHEN_ASKED = """
 for (const kind of ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced"]) {
   const page = WebGL2RenderingContext.prototype, draw = page[`draw${kind}`];
@@ -80,6 +79,8 @@ for (const kind of ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced"
 """Draws nothing until a test asks for it: that took most of the time, and few tests look at it."""
 NOTE_DRIVING = """
 (() => {
+  const marks = window.zensimMarks;
+  window.zensimMarks = (names) => { window.zensimMarked = names; marks(names); };
   const drives = window.zensimDrives;
   window.zensimDrives = (value) => { window.zensimIsDriving = value; drives(value); };
 })()
@@ -155,6 +156,8 @@ def uses(*controls: Control) -> Callable[[Exercise], Exercise]:
     return wrap
 
 
+MORE = a_button("Edit", "Name, layout, heading")
+"""A folder that is closed at first."""
 CHARTS = ("Speed", "Turn rate", "Position", "Real-time factor")
 NUMBER_OF_CHARTS = (
     "[...document.querySelectorAll('.uplot')].filter(o => o.checkVisibility()).length"
@@ -276,6 +279,7 @@ def open_small(browser: Chromium, url: str, folder: Path) -> Tab:
     tab.until("document.body.innerText.includes('Software WebGL')", 120.0)
     PageControls(tab).click(a_button("", "Close"))
     tab.until("!document.body.innerText.includes('Software WebGL')")
+    PageControls(tab).click(a_checkbox("Plots", CHARTS[0]))  # on at first; tests count charts
     return tab
 
 

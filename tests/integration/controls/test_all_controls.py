@@ -10,6 +10,7 @@ from tests.deploy.recorded_worlds import write_world
 from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
 from tests.integration.controls.opened_page import (
     CHARTS,
+    MORE,
     NUMBER_OF_CHARTS,
     PALETTE_ENTRIES,
     PAUSE,
@@ -249,7 +250,10 @@ def test_every_control_is_used_by_a_test(page: Page) -> None:
             return bool(page.tab.evaluate(f"{NUMBER_OF_CHARTS} === {len(CHARTS) + 1}"))
 
         eventually(are_drawn, WITHIN_S, "all charts")
+    controls.click(MORE)
+    controls.until_there(a_field("Edit", "Name"))
     listed |= controls.list_of_tabs(*TABS)
+    controls.click(MORE)
     listed |= list_of_dialogs(page)
     controls.click(a_button("", "Pause"))
     controls.until_there(a_button("", "Play"))  # in its place

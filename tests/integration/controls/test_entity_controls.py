@@ -13,6 +13,7 @@ from tests.integration.controls.opened_page import (
     normalize,
     uses,
 )
+from tests.integration.page_controls import Control
 from tests.integration.processes import eventually
 from tests.integration.test_page_sensors import POINTS_OF
 from tests.integration.test_view import CAMERA, CLICK_MS, WITHIN
@@ -98,20 +99,20 @@ def test_picture_is_subscribed_to_while_it_is_shown(page: Page) -> None:
 
 
 FOLDERS = (
-    ("Entities", "r2", "Stop following"),
-    ("Edit", "Spawn", "Place by click"),
-    ("Edit", "Selected entity", "Undo"),
+    ("Entities", "r2", a_button("Entities", "Stop following")),
+    ("Edit", "Spawn", a_button("Edit", "Place by click")),
+    ("Edit", "Selected entity", a_button("Edit", "Undo")),
 )
 
 
 @pytest.mark.parametrize(("tab", "name", "inner"), FOLDERS)
-def test_folder_is_closed_and_opened(page: Page, tab: str, name: str, inner: str) -> None:
+def test_folder_is_closed_and_opened(page: Page, tab: str, name: str, inner: Control) -> None:
     page.select("r2")
     page.controls.turn_to(tab)
     page.controls.click(a_button(tab, name))
-    eventually(lambda: page.controls.find(a_button(tab, inner)) is None, WITHIN_S, "a fold")
+    eventually(lambda: page.controls.find(inner) is None, WITHIN_S, "a fold")
     page.controls.click(a_button(tab, name))
-    page.controls.until_there(a_button(tab, inner))
+    page.controls.until_there(inner)
 
 
 @uses(a_button("Entities", "Links and sensors"))
@@ -133,7 +134,6 @@ USED |= {normalize(a_button(tab, name)) for tab, name, _ in FOLDERS}
 # The tab "See".
 
 OVERLAYS = {
-    "Names": "/names/r1",
     "Trails": "/trails",
     "Velocity arrows": "/velocities/",
     "Frames": "/frames",
@@ -156,6 +156,15 @@ def test_overlays_are_drawn_as_switched(page: Page) -> None:
     for label, path in OVERLAYS.items():
         page.controls.click(a_checkbox("See", label))
         page.until_no_node(path)
+
+
+@uses(a_checkbox("See", "Names"))
+def test_names_are_there_until_they_are_switched_off(page: Page) -> None:
+    page.until_node("/names/r1")
+    page.controls.click(a_checkbox("See", "Names"))
+    page.until_no_node("/names/r1")
+    page.controls.click(a_checkbox("See", "Names"))
+    page.until_node("/names/r1")
 
 
 @uses(a_choice("See", "Draw for"))

@@ -6,6 +6,7 @@ import pytest
 
 from tests.integration.controls.opened_page import (
     CHARTS,
+    MORE,
     NUMBER_OF_CHARTS,
     PAUSE,
     SENSOR,
@@ -93,6 +94,7 @@ PLACE, TARGET = "Place x, y [m]", "Move to x, y [m], heading [deg]"
 
 
 @uses(
+    MORE,
     a_choice("Edit", "Model"),
     a_field("Edit", "Name"),
     a_field("Edit", "Count"),
@@ -105,6 +107,7 @@ PLACE, TARGET = "Place x, y [m]", "Move to x, y [m], heading [deg]"
 )
 def test_robots_are_spawned_as_the_form_says(page: Page) -> None:
     page.controls.choose(a_choice("Edit", "Model"), "car_bot")
+    page.controls.click(MORE)
     page.controls.write(a_field("Edit", "Name"), "made")
     page.controls.write(a_field("Edit", "Count"), "2")
     page.controls.choose(a_choice("Edit", "Layout"), "row")
@@ -114,6 +117,7 @@ def test_robots_are_spawned_as_the_form_says(page: Page) -> None:
     page.controls.write(a_field("Edit", "Heading [deg]"), "90")
 
     page.controls.click(a_button("Edit", "Spawn", 1))
+    page.controls.click(MORE)
 
     page.controls.until_text("spawned made")
     places = [page.state_of(name).pose.position for name in ("made0", "made1")]
