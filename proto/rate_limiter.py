@@ -15,12 +15,14 @@ class RateLimiter:
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(NANOSECONDS / rate_hz) if rate_hz > 0.0 else 0
-        self._opened_ns: int | None = None
-        self._due_ns = 0
+        self.opened_ns: int | None = None
+        """Time of the last opening; None before the first."""
+        self.due_ns = 0
+        """Time of the next opening; any before the first."""
 
     def reset(self) -> None:
         """Open at the next call: time may have gone back."""
-        self._opened_ns = None
+        self.opened_ns = None
 
     def is_due(self, time_ns: int) -> bool:
         """Open if due."""
@@ -28,13 +30,13 @@ class RateLimiter:
 
     def elapsed_s(self, time_ns: int) -> float | None:
         """Open if due: return the time [s] since the last opening, at first one period, or None."""
-        opened_ns = self._opened_ns
+        opened_ns = self.opened_ns
         if opened_ns is None:
-            opened_ns, self._due_ns = time_ns - self._period_ns, time_ns
-        elif time_ns <= opened_ns or time_ns + SLACK_NS < self._due_ns:
+            opened_ns, self.due_ns = time_ns - self._period_ns, time_ns
+        elif time_ns <= opened_ns or time_ns + SLACK_NS < self.due_ns:
             return None
-        self._opened_ns = time_ns
-        self._due_ns += self._period_ns
-        if self._due_ns <= time_ns:
-            self._due_ns = time_ns + self._period_ns
+        self.opened_ns = time_ns
+        self.due_ns += self._period_ns
+        if self.due_ns <= time_ns:
+            self.due_ns = time_ns + self._period_ns
         return (time_ns - opened_ns) / NANOSECONDS

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.rate_limiter import SLACK_NS
+from zensim.proto.rate_limiter import SLACK_NS, RateLimiter
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -51,9 +51,9 @@ def take_rows(column: FloatArray, rows: IntArray) -> FloatArray:
     return column if len(rows) == len(column) else column[rows]
 
 
-def put_rows(column: FloatArray, rows: IntArray, values: FloatArray) -> None:
-    """Write the values of ascending rows into a column (n, ...)."""
-    column[slice(None) if len(rows) == len(column) else rows] = values
+def find_index(rows: IntArray, count: int) -> IntArray | slice:
+    """Find the faster index of ascending rows of `count`."""
+    return ALL_ROWS if len(rows) == count else rows
 
 
 def intersect_rows(rows: IntArray, others: IntArray, count: int) -> IntArray:
@@ -116,39 +116,111 @@ class StateRows:
         return StateRows(self.time_ns, *(remap_floats(one, before, np.nan) for one in columns))
 
 
+class KeptRows:
+    """Columns of which each row is as of when it was kept.
+
+    Nothing is copied while all rows are kept at once, as they mostly are.
+    """
+
+    def __init__(self, columns: int) -> None:
+        """Keep no row of so many columns."""
+        self.values: FloatArray = np.zeros((0, columns))
+        """(n, columns); read only."""
+        self._is_shared = False
+        """Whether others have the array, too."""
+
+    def remap(self, before: IntArray) -> None:
+        """Remap rows; see `remap_floats`."""
+        self.values, self._is_shared = remap_floats(self.values, before), False
+
+    def keep(self, rows: IntArray, columns: FloatArray) -> None:
+        """Keep ascending rows of columns (n, ...) that nobody changes afterwards."""
+        if len(rows) == len(columns):
+            self.values, self._is_shared = columns, True
+        elif len(rows):
+            if self._is_shared:
+                self.values, self._is_shared = self.values.copy(), False
+            self.values[rows] = columns[rows]
+
+
 class GroupRateLimiter:
-    """A rate limiter per row, all of one rate; see `RateLimiter`."""
+    """A rate limiter per row, all of one rate; see `RateLimiter`.
+
+    Rows share a single one while they open at the same times, as they mostly do.
+    """
 
     def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
         self._period_ns = round(NANOSECONDS / rate_hz) if rate_hz > 0.0 else 0
+        self._shared: RateLimiter | None = RateLimiter(rate_hz)
+        """None while rows differ; else the arrays of openings are of no use."""
+        self._rows = np.zeros(0, dtype=np.int64)
+        """All of them."""
+        self._elapsed_s = np.zeros(0)
+        """Time since the last opening of all rows, when they shared it last."""
         self._has_opened = np.zeros(0, dtype=np.bool_)
         self._opened_ns = np.zeros(0, dtype=np.int64)
         self._due_ns = np.zeros(0, dtype=np.int64)
 
     def remap(self, before: IntArray) -> None:
         """Remap rows; see `remap_floats`."""
-        self._has_opened = remap_flags(self._has_opened, before)
-        self._opened_ns = remap_ints(self._opened_ns, before)
-        self._due_ns = remap_ints(self._due_ns, before)
+        is_new = before == NEW_ROW
+        if is_new.all():
+            self._shared = RateLimiter(self._rate_hz)
+        elif self._shared is None or (self._shared.opened_ns is not None and is_new.any()):
+            self._divide()
+            self._has_opened = remap_flags(self._has_opened, before)
+            self._opened_ns = remap_ints(self._opened_ns, before)
+            self._due_ns = remap_ints(self._due_ns, before)
+        self._rows = np.arange(len(before))
+        self._elapsed_s = np.zeros(0)
 
     def reset(self, rows: IntArray | slice = ALL_ROWS) -> None:
         """Forget the last openings."""
-        self._has_opened[rows] = False
+        if isinstance(rows, slice):
+            self._shared = RateLimiter(self._rate_hz)
+        else:
+            self._divide()
+            self._has_opened[rows] = False
 
     def save(self) -> tuple[BoolArray, IntArray, IntArray]:
         """Copy the openings of all rows."""
+        self._divide()
         return self._has_opened.copy(), self._opened_ns.copy(), self._due_ns.copy()
 
     def load(self, saved: tuple[BoolArray, IntArray, IntArray]) -> None:
         """Put back what `save` returned."""
+        self._divide()
         self._has_opened[:], self._opened_ns[:], self._due_ns[:] = saved
 
     def open(self, time_ns: int) -> tuple[IntArray, FloatArray]:
         """Open the rows that are due.
 
         Returns:
-            Their rows (m,), and the time [s] since their last opening, one period at first.
+            Their rows (m,), and the time [s] since their last opening, one period at first; others
+            get the same arrays.
         """
+        if (shared := self._shared) is None:
+            return self._open_rows(time_ns)
+        elapsed_s = shared.elapsed_s(time_ns)
+        if elapsed_s is None:
+            return self._rows[:0], self._elapsed_s[:0]
+        found = self._elapsed_s
+        if not len(found) or found[0] != elapsed_s:
+            found = self._elapsed_s = np.full(len(self._rows), elapsed_s)
+        return self._rows, found
+
+    def _divide(self) -> None:
+        """Give each row an opening of its own."""
+        if (shared := self._shared) is None:
+            return
+        count, opened_ns = len(self._rows), shared.opened_ns
+        self._has_opened = np.full(count, opened_ns is not None)
+        self._opened_ns = np.full(count, opened_ns or 0, dtype=np.int64)
+        self._due_ns = np.full(count, shared.due_ns, dtype=np.int64)
+        self._shared = None
+
+    def _open_rows(self, time_ns: int) -> tuple[IntArray, FloatArray]:
         is_first = ~self._has_opened
         self._opened_ns[is_first] = time_ns - self._period_ns
         self._due_ns[is_first] = time_ns
@@ -159,4 +231,7 @@ class GroupRateLimiter:
         self._opened_ns[rows] = time_ns
         due_ns = self._due_ns[rows] + self._period_ns
         self._due_ns[rows] = np.where(due_ns <= time_ns, time_ns + self._period_ns, due_ns)
+        if len(rows) == len(self._rows) and len(rows) and (self._due_ns == self._due_ns[0]).all():
+            self._shared = RateLimiter(self._rate_hz)
+            self._shared.opened_ns, self._shared.due_ns = time_ns, int(self._due_ns[0])
         return rows, elapsed_s

@@ -10,6 +10,7 @@ from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.drives.differential_drive import find_base_step, integrate_base_step
 from zensim.proto.drives.drive_kinematics import make_drive_kinematics
 from zensim.proto.drives.measured_joints import MeasuredJoints
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.drive_messages import Drive, WheelPair
 from zensim.proto.messages.model_messages import IDENTITY
 from zensim.robot_agent.base_controller import find_motion_rates
@@ -22,8 +23,8 @@ from zensim.robot_agent.robot_rows import (
     FloatArray,
     GroupRateLimiter,
     IntArray,
+    KeptRows,
     StateRows,
-    put_rows,
     remap_flags,
     remap_floats,
     take_rows,
@@ -176,8 +177,11 @@ class GroupDrive:
             velocities: [rad/s].
             elapsed_s: Simulation time since each row's last update; (m,).
         """
-        update = DriveUpdate(rows, self._state[rows], positions, velocities, elapsed_s)
+        update = DriveUpdate(rows, take_rows(self._state, rows), positions, velocities, elapsed_s)
         self._last = update if self._last is None else self._last.join(update)
+        if len(rows) == len(self._state):
+            # The update keeps the array of before.
+            self._state = np.empty_like(self._state)
         return self._find_targets(twists, *update)
 
     def revise(self, twists: FloatArray) -> tuple[IntArray, FloatArray] | None:
@@ -206,6 +210,7 @@ class GroupDrive:
             dt_s=elapsed_s if self.longest_s == math.inf else elapsed_s.clip(max=self.longest_s),
         )
         if state:
+            # Rows of joined updates are in any order.
             self._state[rows] = _stack(len(rows), state)
         return _stack(len(rows), targets)
 
@@ -217,10 +222,8 @@ class GroupBaseController:
         drive = group_key.drive
         self.targets = np.zeros((0, group_key.target_count))
         """Targets of `Model.drive_actuators`, a row per robot."""
-        self.motions = np.zeros((0, MOTION_COLUMNS))
-        """Motion of each row as of its last odometry."""
         self._group_key = group_key
-        self._measured = list(group_key.measured)
+        self._measured = _find_span(group_key.measured)
         self._drive = GroupDrive(drive)
         self._least_s = 1.0 / drive.update_rate_hz if drive.update_rate_hz > 0.0 else 0.0
         self._limiters = GroupRateLimiter(drive.update_rate_hz)
@@ -230,20 +233,23 @@ class GroupBaseController:
         if (pair := drive.encoder) is not None:
             is_unsigned = drive.compat == "gazebo11"
             self._encoders = GroupEncoderOdometry(pair, is_speed_unsigned=is_unsigned)
+        self._kept = KeptRows(STATE_COLUMNS if self._encoders is None else MOTION_COLUMNS)
+        """State of the root link of each row, or its motion by encoders, at its last odometry."""
+        self._motions: FloatArray | None = None
+        """What these are as motions; None until somebody asks."""
 
     def remap(self, before: IntArray) -> None:
         """Remap rows; see `remap_floats`."""
         self.targets = remap_floats(self.targets, before)
-        self.motions = remap_floats(self.motions, before)
-        self.motions[before < 0] = REST_MOTION
+        self._kept.remap(before)
+        self._motions = None
         for part in (self._drive, self._limiters, self._motion_limiter, self._encoders):
             if part is not None:
                 part.remap(before)
 
     def reset(self) -> None:
         """Reset all; time may have gone back."""
-        self.targets[:] = 0.0
-        self.motions[:] = REST_MOTION
+        self.targets = np.zeros_like(self.targets)
         for part in (self._drive, self._limiters, self._motion_limiter, self._encoders):
             if part is not None:
                 part.reset()
@@ -280,11 +286,16 @@ class GroupBaseController:
                 velocities=take_rows(velocities, rows)[:, self._measured],
                 elapsed_s=elapsed_s,
             )
-            put_rows(self.targets, rows, found)
+            if len(rows) == len(self.targets):
+                self.targets = found
+            else:
+                self.targets[rows] = found
         if self._motion_limiter is not None:
             rows, _ = self._motion_limiter.open(time_ns)
         if len(rows):
-            put_rows(self.motions, rows, self._new_motions(rows, state.base))
+            encoders = self._encoders
+            self._kept.keep(rows, state.base if encoders is None else encoders.motions.copy())
+            self._motions = None
         return rows
 
     def revise(self, twists: FloatArray) -> None:
@@ -294,13 +305,23 @@ class GroupBaseController:
             self.targets[rows] = targets
 
     def find_motions(self, rows: IntArray) -> FloatArray:
-        """Select the last motions of some rows."""
-        return self.motions[rows]
+        """Find the motions of some rows as of their last odometry, (m, MOTION_COLUMNS)."""
+        if self._motions is None:
+            self._motions = self._find_all_motions()
+        return take_rows(self._motions, rows)
 
-    def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:
+    def _find_all_motions(self) -> FloatArray:
+        kept = self._kept.values
         if self._encoders is not None:
-            return self._encoders.motions[rows]
+            return kept
         # Contiguous columns take a tenth less time.
-        columns = tuple(np.ascontiguousarray(take_rows(base, rows).T))
+        columns = tuple(np.ascontiguousarray(kept.T))
         motion = find_world_motion(columns, self._group_key.base_in_root, ARRAY_MATH)
-        return _stack_motion(len(rows), motion)
+        return _stack_motion(len(kept), motion)
+
+
+def _find_span(places: tuple[int, ...]) -> slice | list[int]:
+    """Find the slice of places that follow each other, which numpy reads without a copy."""
+    if not places or list(places) != list(range(places[0], places[0] + len(places))):
+        return list(places)
+    return slice(places[0], places[0] + len(places))

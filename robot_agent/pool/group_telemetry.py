@@ -30,11 +30,11 @@ from zensim.robot_agent.robot_rows import (
     FloatArray,
     GroupRateLimiter,
     IntArray,
+    KeptRows,
     StateRows,
+    find_index,
     intersect_rows,
-    put_rows,
     remap_flags,
-    remap_floats,
     remap_ints,
     take_rows,
 )
@@ -130,8 +130,9 @@ class GroupTopic:
         """Publish some rows."""
         if not len(rows):
             return
-        self._has_value[rows] = True
-        self._published_ns[rows] = time_ns
+        at = find_index(rows, len(self._has_value))
+        self._has_value[at] = True
+        self._published_ns[at] = time_ns
         if not self.publisher.is_wanted:
             return
         rows = self._select_wanted(rows)
@@ -242,7 +243,7 @@ class GroupFramePoses:
             [*base, *range(len(self._moving))],
             msgspec.msgpack.decode(group_key.geometry, type=tuple[Joint, ...]),
         )
-        self._positions = np.zeros((0, len(group_key.moving)))
+        self._positions = KeptRows(group_key.joint_count)
         self._found: tuple[IntArray, FloatArray] | None = None
 
     def remap_rows(self, before: IntArray) -> None:
@@ -250,7 +251,7 @@ class GroupFramePoses:
         self._found = None
         if self._limiters is not None:
             self._limiters.remap(before)
-        self._positions = remap_floats(self._positions, before)
+        self._positions.remap(before)
 
     def reset(self) -> None:
         """Forget the cached poses; time may have gone back."""
@@ -269,15 +270,16 @@ class GroupFramePoses:
         self._found = None
         if len(rows) and self._limiters is not None:
             is_open, _ = self._limiters.open(time_ns)
-            rows = intersect_rows(rows, is_open, len(self._positions))
-        put_rows(self._positions, rows, take_rows(positions, rows)[:, self._moving])
+            rows = intersect_rows(rows, is_open, len(positions))
+        self._positions.keep(rows, positions)
         return rows
 
     def of(self, rows: IntArray) -> FloatArray:
         """Find the poses of some rows' frames, (m, 7 * frames); cached for the same rows."""
         if self._found is None or self._found[0] is not rows:
             motions = self._bases.find_motions(rows)
-            self._found = rows, self._frames.find(motions, self._positions[rows])
+            positions = take_rows(self._positions.values, rows)[:, self._moving]
+            self._found = rows, self._frames.find(motions, positions)
         return self._found[1]
 
 
@@ -335,8 +337,9 @@ class SharedTfTopic:
         """Publish the transforms of some rows."""
         if not len(rows):
             return
-        self._has_value[rows] = True
-        self._published_ns[rows] = time_ns
+        at = find_index(rows, len(self._has_value))
+        self._has_value[at] = True
+        self._published_ns[at] = time_ns
         if self._publisher.is_wanted:
             for message in self._messages(rows):
                 self._publisher.put((self._member,), (message,))
@@ -416,16 +419,22 @@ class GroupJointTopic(GroupTopic):
         )
         self._limiters = GroupRateLimiter(group_key.joint_states_hz)
         self._published = list(group_key.published)
-        self._states = np.zeros((0, 3 * count))
+        self._joint_count = group_key.joint_count
+        self._no_efforts = np.zeros((0, self._joint_count))
+        self._columns = tuple(KeptRows(self._joint_count) for _ in range(3))
+        """Positions, velocities and efforts of all joints."""
 
     def _find_states(self, rows: IntArray) -> FloatArray:
-        return self._states[rows]
+        published = self._published
+        return np.hstack([take_rows(one.values, rows)[:, published] for one in self._columns])
 
     def remap_rows(self, before: IntArray) -> None:
         """See `GroupTopic`."""
         super().remap_rows(before)
         self._limiters.remap(before)
-        self._states = remap_floats(self._states, before)
+        for column in self._columns:
+            column.remap(before)
+        self._no_efforts = np.full((len(before), self._joint_count), np.nan)
 
     def reset(self) -> None:
         """See `GroupTopic`."""
@@ -436,13 +445,10 @@ class GroupJointTopic(GroupTopic):
         """Publish the joints of the rows that are due."""
         rows, _ = self._limiters.open(state.time_ns)
         if len(rows):
-            columns = (state.positions, state.velocities, state.efforts)
-            own = np.split(self._states, len(columns), axis=1)
-            for kept, column in zip(own, columns, strict=True):
-                if column is None:
-                    kept[rows] = np.nan
-                else:
-                    put_rows(kept, rows, take_rows(column, rows)[:, self._published])
+            efforts = self._no_efforts if state.efforts is None else state.efforts
+            given = (state.positions, state.velocities, efforts)
+            for kept, column in zip(self._columns, given, strict=True):
+                kept.keep(rows, column)
             self.publish(rows, state.time_ns)
 
 

@@ -51,6 +51,7 @@ from zensim.robot_agent.robot_rows import (
     IntArray,
     RowPlaces,
     StateRows,
+    find_index,
     make_row_places,
     remap_floats,
     remap_ints,
@@ -59,6 +60,7 @@ from zensim.robot_agent.robots import NODE_NAME, SENSOR_TYPES, DrivenRobot, log_
 from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
 
 FLEET_CMD_VEL_DEPTH = 8192
+NEVER_NS = 2**63 - 1
 TWIST_COLUMNS = 6
 ORDERED_COLUMNS = (0, 1, 5)
 """Columns of a twist that a drive state can order: forward, left, turn."""
@@ -88,6 +90,11 @@ class FleetCmdVel:
         self._twists = np.zeros((0, TWIST_COLUMNS))
         self._received_ns = np.zeros(0, dtype=np.int64)
         self._later_ns: int | None = None
+        self._none_ends_ns = NEVER_NS
+        """Simulation time until which no command is too old."""
+        self._ordered: FloatArray | None = None
+        """Ordered twists of the last call of `at`, and their rows."""
+        self._ordered_rows = np.zeros(0, dtype=np.int64)
         self._faults: dict[str, tuple[int, str]] = {}
 
     def listen(self, key: str) -> None:
@@ -117,7 +124,7 @@ class FleetCmdVel:
         """
         self._twists = remap_floats(self._twists, before)
         self._received_ns = remap_ints(self._received_ns, before)
-        self._rows = {}
+        self._rows, self._ordered = {}, None
         for row, key in enumerate(robots):
             if not key:
                 continue
@@ -130,7 +137,8 @@ class FleetCmdVel:
     def reset(self) -> None:
         """Forget all commands; those that wait in a subscription still count."""
         self._twists[:] = 0.0
-        self._later_ns = None
+        self._later_ns = self._ordered = None
+        self._none_ends_ns = NEVER_NS
 
     def receive_later(self, time_ns: int) -> bool:
         """Take commands that came after a state, and end a rest; return whether there were some.
@@ -143,7 +151,7 @@ class FleetCmdVel:
         if not (received := self._take_samples()):
             return False
         self._store_newest(received, time_ns)
-        self._later_ns = time_ns
+        self._later_ns, self._ordered = time_ns, None
         return True
 
     def are_idle(self, ordered: FloatArray | None) -> bool:
@@ -165,13 +173,26 @@ class FleetCmdVel:
         if received:
             self._store_newest(received, time_ns)
         if ordered is not None:
-            rows = np.flatnonzero(~np.isnan(ordered[:, 0]))
+            self._order(ordered, time_ns, is_known=ordered is self._ordered and not received)
+        self._ordered = ordered
+        if self._timeout_ns and time_ns > self._none_ends_ns:
+            self._end_old(time_ns)
+        return self._twists
+
+    def _order(self, ordered: FloatArray, time_ns: int, *, is_known: bool) -> None:
+        """Replace the commands of rows that are not NaN, unless they are those of the last call."""
+        if not is_known:
+            self._ordered_rows = rows = np.flatnonzero(~np.isnan(ordered[:, 0]))
             self._twists[rows] = 0.0
             self._twists[rows[:, None], ORDERED_COLUMNS] = ordered[rows]
-            self._received_ns[rows] = time_ns
-        if self._timeout_ns:
-            self._twists[time_ns - self._received_ns > self._timeout_ns] = 0.0
-        return self._twists
+            self._none_ends_ns = min(self._none_ends_ns, time_ns + self._timeout_ns)
+        self._received_ns[find_index(self._ordered_rows, len(self._received_ns))] = time_ns
+
+    def _end_old(self, time_ns: int) -> None:
+        """Set the commands to zero whose time is over, and find how long no other one's is."""
+        self._twists[time_ns - self._received_ns > self._timeout_ns] = 0.0
+        moving = self._received_ns[self._twists.any(axis=1)]
+        self._none_ends_ns = int(moving.min(initial=NEVER_NS - self._timeout_ns)) + self._timeout_ns
 
     def take_malformed_reports(self) -> Iterator[tuple[str, str]]:
         """Describe the malformed commands since the last call, by key."""
@@ -212,6 +233,7 @@ class FleetCmdVel:
             twists = np.repeat(twists, [len(several) for several in robots], axis=0)
         self._twists[rows] = twists
         self._received_ns[rows] = time_ns
+        self._none_ends_ns = min(self._none_ends_ns, time_ns + self._timeout_ns)
 
     def _decode_newest(self, samples: list[Sample]) -> Twist | None:
         """Decode the newest valid command: a malformed one does not hide the one before it."""
@@ -453,6 +475,8 @@ class PoolStateLayout:
     def __init__(self, joint_counts: Sequence[int], target_counts: Sequence[int]) -> None:
         self._joints = np.concatenate([[0], np.cumsum(joint_counts)]).astype(np.int64)
         self._targets = np.concatenate([[0], np.cumsum(target_counts)]).astype(np.int64)
+        self._packed_twists = b""
+        self._twists = np.zeros((0, len(ORDERED_COLUMNS)))
 
     @property
     def target_total(self) -> int:
@@ -481,15 +505,18 @@ class PoolStateLayout:
         return slice(*joints.tolist()), slice(*targets.tolist())
 
     def read_twists(self, state: DriveState) -> FloatArray | None:
-        """Unpack the ordered twists (n, 3); None if there are none.
+        """Unpack the ordered twists (n, 3), the same array for the same bytes; None without some.
 
         Raises:
             MalformedPayload: Their number is not that of the claims.
         """
         if not state.twists:
             return None
-        rows, columns = len(self._joints) - 1, len(ORDERED_COLUMNS)
-        return _unpack_floats(state.twists, rows * columns).reshape(rows, columns)
+        if state.twists != self._packed_twists:
+            rows, columns = len(self._joints) - 1, len(ORDERED_COLUMNS)
+            self._twists = _unpack_floats(state.twists, rows * columns).reshape(rows, columns)
+            self._packed_twists = state.twists
+        return self._twists
 
     def read(self, state: DriveState, twists: FloatArray) -> PoolDriveState:
         """Unpack a state into arrays.

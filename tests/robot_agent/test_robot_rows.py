@@ -9,9 +9,10 @@ from zensim.proto.rate_limiter import RateLimiter
 from zensim.robot_agent.robot_rows import (
     GroupRateLimiter,
     IntArray,
+    KeptRows,
+    find_index,
     intersect_rows,
     make_row_places,
-    put_rows,
     remap_floats,
     take_rows,
 )
@@ -60,6 +61,36 @@ def test_rows_keep_their_openings_when_remapped() -> None:
     assert limiters.open(100_000_000)[0].tolist() == [1]
 
 
+def test_openings_are_put_back_as_they_were_saved() -> None:
+    limiters = GroupRateLimiter(10.0)
+    limiters.remap(np.array([-1, -1], dtype=np.int64))
+    limiters.open(0)
+    saved = limiters.save()
+    limiters.open(100_000_000)
+    limiters.reset(np.array([1]))
+    limiters.load(saved)
+
+    assert limiters.open(50_000_000)[0].tolist() == []
+    rows, elapsed_s = limiters.open(100_000_000)
+    assert (rows.tolist(), elapsed_s.tolist()) == ([0, 1], [0.1, 0.1])
+
+
+@given(st.lists(st.tuples(st.sets(st.integers(0, 3)), st.booleans()), max_size=8))
+def test_rows_are_kept_as_of_their_own_time(courses: list[tuple[set[int], bool]]) -> None:
+    kept, expected = KeptRows(2), np.zeros((4, 2))
+    kept.remap(np.full(4, -1))
+    for number, (some, is_remapped) in enumerate(courses):
+        columns = np.full((4, 2), float(number))
+        columns.flags.writeable = False
+        rows = np.array(sorted(some), dtype=np.int64)
+        expected[rows] = columns[rows]
+        kept.keep(rows, columns)
+        if is_remapped:
+            kept.remap(np.array([1, 0, 3, 2]))
+            expected = expected[[1, 0, 3, 2]]
+        assert kept.values.tolist() == expected.tolist()
+
+
 def test_rows_that_stay_keep_their_values_and_new_ones_are_zero() -> None:
     column, before = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1, -1, 0], dtype=np.int64)
 
@@ -76,7 +107,7 @@ def test_rows_that_are_taken_and_put_are_those_of_numpy(rows: IntArray) -> None:
     expected = column.copy()
     expected[rows] = column[rows] + 100.0
 
-    put_rows(column, rows, take_rows(column, rows) + 100.0)
+    column[find_index(rows, len(column))] = take_rows(column, rows) + 100.0
 
     assert column.tolist() == expected.tolist()
 
