@@ -53,16 +53,14 @@ class ObedientEngine(Engine):
     def prepare(self, model: Model) -> bool:  # noqa: ARG002
         return True
 
-    def add(self, model: Model, base: FloatArray) -> int:
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
         for joint in model.joints:
             if joint.kind in ("floating", "planar"):
                 raise EngineRefused(f"joint kind '{joint.kind}' is not supported; use continuous")
-        number = next(i for i in range(len(self._bodies) + 1) if i not in self._bodies)
         zeros = np.zeros(len(model.joints))
-        self._bodies[number] = _Body(model, base.copy(), zeros, zeros.copy())
-        return number
+        self._bodies[body] = _Body(model, base.copy(), zeros, zeros.copy())
 
-    def remove(self, body: int) -> None:
+    def discard(self, body: int) -> None:
         del self._bodies[body]
 
     def forget_removed(self) -> None:

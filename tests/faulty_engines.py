@@ -44,18 +44,17 @@ class FaultyEngine(EngineLayer):
         self._fail_for("prepare", model.name)
         return super().prepare(model)
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        self._fail_for("add", model.name)
-        body = super().add(model, base)
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        self._fail_for("insert", model.name)
+        super().insert(body, model, base)
         has_collisions = any(link.collisions for link in model.links)
         if not model.is_static or (ALWAYS in model.name and has_collisions):
             self._culprits[body] = model.name
-        return body
 
-    def remove(self, body: int) -> None:
+    def discard(self, body: int) -> None:
         name = self._culprits.pop(body, "")
-        super().remove(body)
-        self._fail_for("remove", name)
+        super().discard(body)
+        self._fail_for("discard", name)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         self._check("find_overlaps", [body])

@@ -25,14 +25,11 @@ from zensim.sim_server.physics.cells.cell_worker_client import (
 )
 from zensim.sim_server.physics.cells.memory_reserve import is_glibc
 from zensim.sim_server.physics.engine import (
-    GROUND,
     BodyStates,
-    ContactPoints,
     Engine,
     EngineRefused,
     FloatArray,
     concatenate_states,
-    make_contact_points,
     make_invalid_state,
     make_unknown_efforts,
 )
@@ -138,94 +135,70 @@ class HostedCell:
     """The engine of a cell.
 
     Attributes:
-        engine_numbers: The engine's number of each body, by the server's.
-        models: Model of each body, by the server's number.
+        models: Model of each body.
         lost: Bodies that the engine refused although the server relied on it; read as NaN.
         faults: Of those, the reasons that the server does not know yet.
     """
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self.engine_numbers: dict[int, int] = {}
         self.models: dict[int, Model] = {}
         self.lost: set[int] = set()
         self.faults: dict[int, str] = {}
-
-    def add(self, body: int, model: Model, base: FloatArray) -> None:
-        """Add a body; raises EngineRefused."""
-        self.engine_numbers[body] = self.engine.add(model, base)
-        self.models[body] = model
 
     def lose(self, body: int, model: Model, reason: str) -> None:
         """Record a body that the engine does not have."""
         self.models[body], self.faults[body] = model, reason
         self.lost.add(body)
 
-    def remove(self, body: int) -> None:
+    def discard(self, body: int) -> None:
         """Remove a body."""
         del self.models[body]
         self.faults.pop(body, None)
         if body in self.lost:
             self.lost.remove(body)
         else:
-            self.engine.remove(self.engine_numbers.pop(body))
+            self.engine.discard(body)
 
     def take_faults(self) -> dict[int, str]:
-        """Take the faults of the engine and of lost bodies, by the server's numbers."""
-        of_engine = self.engine.take_faults()
-        found = dict(zip(self.to_server_numbers(list(of_engine)), of_engine.values(), strict=True))
-        found, self.faults = {**found, **self.faults}, {}
+        """Take the faults of the engine and of lost bodies."""
+        found, self.faults = {**self.engine.take_faults(), **self.faults}, {}
         return found
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """Read bodies; lost ones have NaN."""
         if self.lost.isdisjoint(bodies):
-            return self.engine.read(self.to_engine_numbers(bodies))
+            return self.engine.read(bodies)
         return concatenate_states([self._read_one(body) for body in bodies])
 
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """Read the efforts of joints; lost bodies have NaN."""
         if self.lost.isdisjoint(bodies):
-            return self.engine.read_joint_efforts(self.to_engine_numbers(bodies))
+            return self.engine.read_joint_efforts(bodies)
         return np.concatenate([np.zeros(0), *(self._read_efforts_of(body) for body in bodies)])
-
-    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
-        """Read contact points, in the server's numbers."""
-        found = self.engine.read_contacts(self.to_engine_numbers(bodies))
-        server_numbers = {number: body for body, number in self.engine_numbers.items()}
-        pairs = [
-            (server_numbers[body], link, server_numbers.get(other, GROUND), other_link)
-            for body, link, other, other_link in found.bodies.tolist()
-        ]
-        return make_contact_points(pairs, found.points.tolist())
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """Set the targets of bodies; those of lost ones have no effect."""
         if not self.lost.isdisjoint(bodies):
             widths = [make_actuation(self.models[body]).width for body in bodies]
             targets = targets[np.repeat([body not in self.lost for body in bodies], widths)]
-        self.engine.command(self.to_engine_numbers(bodies), targets)
+        self.engine.command(self.list_present(bodies), targets)
 
-    def to_engine_numbers(self, bodies: Sequence[int]) -> tuple[int, ...]:
-        """Find the engine's numbers of bodies, lost ones excepted."""
-        if self.lost:
-            bodies = [body for body in bodies if body not in self.lost]
-        return tuple([self.engine_numbers[body] for body in bodies])
-
-    def to_server_numbers(self, bodies: Sequence[int]) -> list[int]:
-        """Find the server's numbers of bodies."""
-        server_numbers = {number: body for body, number in self.engine_numbers.items()}
-        return [server_numbers[body] for body in bodies]
+    def list_present(self, bodies: Sequence[int]) -> Sequence[int]:
+        """List bodies without those that are lost."""
+        if not self.lost:
+            return bodies
+        return [body for body in bodies if body not in self.lost]
 
     def _read_one(self, body: int) -> BodyStates:
         if body in self.lost:
             return make_invalid_state(self.models[body])
-        return self.engine.read((self.engine_numbers[body],))
+        return self.engine.read((body,))
 
     def _read_efforts_of(self, body: int) -> FloatArray:
         if body in self.lost:
             return make_unknown_efforts(len(self.models[body].joints))
-        return self.engine.read_joint_efforts((self.engine_numbers[body],))
+        return self.engine.read_joint_efforts((body,))
 
 
 class CellWorker:
@@ -256,7 +229,7 @@ class CellWorker:
             number, body, *rest = arguments
             cell = self._cells[number]
             if body not in cell.lost:
-                getattr(cell.engine, method)(cell.engine_numbers[body], *rest)
+                getattr(cell.engine, method)(body, *rest)
             return
         try:
             reply = getattr(self, f"_{method}")(*arguments)
@@ -280,11 +253,11 @@ class CellWorker:
     def _hide(self, cell: int, body: int) -> None:
         hosted = self._cells[cell]
         if body not in hosted.lost:
-            hosted.engine.hide(hosted.engine_numbers[body])
+            hosted.engine.hide(body)
 
     def _show(self, cell: int, bodies: Sequence[int]) -> None:
         hosted = self._cells[cell]
-        hosted.engine.show(hosted.to_engine_numbers(bodies))
+        hosted.engine.show(hosted.list_present(bodies))
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
@@ -298,21 +271,23 @@ class CellWorker:
         assert self._model is not None
         return CellWorkerReply(self._cells[cell].engine.prepare(self._model))
 
-    def _add(self, cell: int, body: int, base: FloatArray) -> CellWorkerReply:
+    def _insert(self, cell: int, body: int, base: FloatArray) -> CellWorkerReply:
         assert self._model is not None
-        self._cells[cell].add(body, self._model, base)
+        hosted = self._cells[cell]
+        hosted.engine.insert(body, self._model, base)
+        hosted.models[body] = self._model
         return CellWorkerReply(value=True)
 
-    def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
+    def _insert_another(self, cell: int, body: int, base: FloatArray) -> None:
         assert self._model is not None
         try:
-            self._cells[cell].add(body, self._model, base)
+            self._insert(cell, body, base)
         except EngineRefused as refused:
             # The model was accepted before, so the server does not wait for a reply.
             self._cells[cell].lose(body, self._model, str(refused))
 
-    def _remove(self, cell: int, body: int) -> None:
-        self._cells[cell].remove(body)
+    def _discard(self, cell: int, body: int) -> None:
+        self._cells[cell].discard(body)
 
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
@@ -321,7 +296,8 @@ class CellWorker:
         return CellWorkerReply(self._cells[cell].take_faults())
 
     def _read_contacts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
-        return CellWorkerReply(self._cells[cell].read_contacts(bodies))
+        hosted = self._cells[cell]
+        return CellWorkerReply(hosted.engine.read_contacts(hosted.list_present(bodies)))
 
     def _read_joint_efforts(self, cell: int, bodies: Sequence[int]) -> CellWorkerReply:
         return CellWorkerReply(self._cells[cell].read_joint_efforts(bodies))
@@ -330,9 +306,7 @@ class CellWorker:
         hosted = self._cells[cell]
         if body in hosted.lost:
             return CellWorkerReply([])
-        return CellWorkerReply(
-            hosted.to_server_numbers(hosted.engine.find_overlaps(hosted.engine_numbers[body]))
-        )
+        return CellWorkerReply(list(hosted.engine.find_overlaps(body)))
 
     def _step(self, cells: Sequence[int], steps: int) -> CellWorkerReply:
         is_valid = True

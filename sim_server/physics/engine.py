@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from zensim.proto.messages.model_messages import Model, TierName
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.physics.body_table import BodyNumbers
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -128,14 +130,6 @@ class ContactPoints:
         """Select some points."""
         return ContactPoints(self.bodies[rows], self.points[rows])
 
-    def renumber(self, numbers: Mapping[int, int]) -> "ContactPoints":
-        """Give bodies other numbers; a body without a number counts as the ground."""
-        known, places = np.unique(self.bodies[:, ::2], return_inverse=True)
-        new = np.array([numbers.get(body, GROUND) for body in known.tolist()], np.intp)
-        bodies = self.bodies.copy()
-        bodies[:, ::2] = new[places].reshape(-1, 2)
-        return ContactPoints(bodies, self.points)
-
 
 def concatenate_contacts(parts: Sequence[ContactPoints]) -> ContactPoints:
     """Concatenate contact points."""
@@ -187,10 +181,30 @@ class EngineCapabilities:
 class Engine(ABC):
     """Physics of bodies: arrays in and out; no names, time or network.
 
-    Methods that are not abstract are optional; their defaults have no effect.
+    The outermost engine numbers bodies, by `add` and `remove`; all engines and cells within use the
+    same numbers. Methods that are not abstract are optional; their defaults have no effect.
     """
 
     capabilities = EngineCapabilities()
+
+    @cached_property
+    def _body_numbers(self) -> BodyNumbers:
+        return BodyNumbers()
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """Make a body as `insert` does, and number it; raises what it raises."""
+        body = self._body_numbers.take()
+        try:
+            self.insert(body, model, base)
+        except BaseException:
+            self._body_numbers.give_back(body)
+            raise
+        return body
+
+    def remove(self, body: int) -> None:
+        """Remove a body; its number may be used again."""
+        self.discard(body)
+        self._body_numbers.give_back(body)
 
     @property
     @abstractmethod
@@ -199,23 +213,28 @@ class Engine(ABC):
 
     @abstractmethod
     def prepare(self, model: Model) -> bool:
-        """Make a part of what `add` needs for a model, as much as fits between two steps.
+        """Make a part of what `insert` needs for a model, as much as fits between two steps.
 
         Returns:
-            Whether nothing is left to make, or `add` will raise.
+            Whether nothing is left to make, or `insert` will raise.
         """
 
     @abstractmethod
-    def add(self, model: Model, base: FloatArray) -> int:
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
         """Make a body of a model with its root link at `base` (13,), joints at zero.
+
+        Args:
+            body: Number that no other body of this engine has.
+            model: Of the body.
+            base: State of its root link.
 
         Raises:
             EngineRefused: The engine cannot simulate the model.
         """
 
     @abstractmethod
-    def remove(self, body: int) -> None:
-        """Remove a body; its number may be used again."""
+    def discard(self, body: int) -> None:
+        """Remove a body from this engine only; another one may have it."""
 
     @abstractmethod
     def forget_removed(self) -> None:
@@ -352,7 +371,7 @@ class Engine(ABC):
         return {}
 
     def skip_validation(self, model: Model) -> None:  # noqa: B027
-        """Let `add` return before the model is validated: an equal engine has accepted it."""
+        """Let `insert` return before the model is validated: an equal engine has accepted it."""
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """Start `find_overlaps`; the returned function waits for the result."""

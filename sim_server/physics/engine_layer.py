@@ -33,11 +33,11 @@ class EngineLayer(Engine):
     def prepare(self, model: Model) -> bool:
         return self._inner.prepare(model)
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        return self._inner.add(model, base)
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        self._inner.insert(body, model, base)
 
-    def remove(self, body: int) -> None:
-        self._inner.remove(body)
+    def discard(self, body: int) -> None:
+        self._inner.discard(body)
 
     def forget_removed(self) -> None:
         self._inner.forget_removed()

@@ -33,7 +33,7 @@ LOG = logging.getLogger(__name__)
 class IsolatingEngine(EngineLayer):
     """An engine whose exceptions concern one body.
 
-    `add` and `find_overlaps` refuse. In any other call, the body that causes an exception is set
+    `insert` and `find_overlaps` refuse. In any other call, the body that causes an exception is set
     aside: it is read as NaN, and calls for it have no effect until it is removed. A batch is
     divided only after it failed.
     """
@@ -52,34 +52,30 @@ class IsolatingEngine(EngineLayer):
         try:
             return self._inner.prepare(model)
         except Exception:
-            return True  # `add` reports it
+            return True  # `insert` reports it
 
     def expect(self, models: Sequence[Model], places: Sequence[Place] = ()) -> None:
         """See `Engine.expect`."""
         try:
             self._inner.expect(models, places)
         except Exception:
-            LOG.debug("fault call=expect models=%d", len(models))  # `add` reports it
+            LOG.debug("fault call=expect models=%d", len(models))  # `insert` reports it
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`."""
         with refuse_faults(f"model '{model.name}'"):
-            body = self._add_with_new_number(model, base)
+            self._inner.insert(body, model, base)
         self._models[body] = model
-        return body
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`."""
         del self._models[body]
         self._set_aside.discard(body)
         self._faults.pop(body, None)
         if body in self._taken_out:
             self._taken_out.remove(body)
             return
-        try:
-            self._inner.remove(body)
-        except Exception:
-            LOG.exception("fault call=remove body=%d", body)
+        self._discard(body)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`; raises EngineRefused if the engine fails."""
@@ -213,15 +209,6 @@ class IsolatingEngine(EngineLayer):
         faults, self._faults = self._faults, {}
         return faults
 
-    def _add_with_new_number(self, model: Model, base: FloatArray) -> int:
-        """Add a body; not with the number of one that is taken out and not yet removed."""
-        refused = []
-        while (body := self._inner.add(model, base)) in self._taken_out:
-            refused.append(body)
-        for number in refused:
-            self._inner.remove(number)
-        return body
-
     def _try_all(self, call: Callable[[Sequence[int]], None], bodies: Sequence[int]) -> None:
         if self._set_aside.isdisjoint(bodies):
             try:
@@ -272,9 +259,12 @@ class IsolatingEngine(EngineLayer):
         yield from sorted(newest, key=lambda body: is_valid[body])
 
     def _take_out(self, body: int) -> None:
-        try:
-            self._inner.remove(body)
-        except Exception:
-            LOG.exception("fault call=remove body=%d", body)
+        self._discard(body)
         self._set_aside.add(body)
         self._taken_out.add(body)
+
+    def _discard(self, body: int) -> None:
+        try:
+            self._inner.discard(body)
+        except Exception:
+            LOG.exception("fault call=discard body=%d", body)

@@ -365,11 +365,11 @@ class SleepingEngine(EngineLayer):
         """See `Engine.prepare`; also measures one mesh."""
         return super().prepare(model) and self._reaches.prepare(model)
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`."""
         # Whatever may fail comes first: a body must not remain in the engine alone.
         traits, radius_m = self._tracker.find_traits(model), self._find_radius_m(model)
-        body = self._inner.add(model, base)
+        self._inner.insert(body, model, base)
         self._actuations[body] = traits.actuation
         self._commands.forget(body)
         is_check = not self._steps % self._period_steps
@@ -383,14 +383,13 @@ class SleepingEngine(EngineLayer):
             self._inner.sleep([body])
         self._rows, self._is_idle = None, False
         self._wake_near([body], base[None])
-        return body
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`; bodies that may have stood on it wake."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`; bodies that may have stood on it wake."""
         self._wake([body])
         if self._contacts:
             self._wake_near([body], self._inner.read([body]).base)
-        self._inner.remove(body)
+        self._inner.discard(body)
         self._tracker.remove(body)
         self._candidates.discard(body)
         self._hidden.pop(body, None)

@@ -125,7 +125,7 @@ def test_frozen_body_that_fails_again_loses_its_collisions(
 
 
 def test_model_that_the_engine_fails_to_add_is_refused(world: SimulatedWorld) -> None:
-    spawn = a_spawn("culprit", model=make_culprit(a_cart(), "add"), base=CULPRIT_AT)
+    spawn = a_spawn("culprit", model=make_culprit(a_cart(), "insert"), base=CULPRIT_AT)
 
     for attempt in (world.spawn, world.check_overlaps, world.stage_spawn):
         with pytest.raises(EngineRefused):
@@ -183,7 +183,7 @@ def test_batch_spawn_survives_a_body_that_cannot_be_hidden(
 
 
 def test_body_that_the_engine_fails_to_remove_is_deleted(world: SimulatedWorld) -> None:
-    spawn_culprit(world, "remove")
+    spawn_culprit(world, "discard")
     drive(world, CONTROL_STEPS)
 
     world.delete("culprit")

@@ -58,7 +58,7 @@ def a_culprit(method: str, *, is_dry_run: bool = False) -> SpawnEntityOrder:
     )
 
 
-@pytest.mark.parametrize("method", ["add", "find_overlaps"])
+@pytest.mark.parametrize("method", ["insert", "find_overlaps"])
 @pytest.mark.parametrize("is_dry_run", [True, False], ids=["dry run", "spawn"])
 def test_spawn_is_refused_when_the_engine_fails(
     server: Server, method: str, *, is_dry_run: bool
@@ -69,7 +69,7 @@ def test_spawn_is_refused_when_the_engine_fails(
     assert refused.value.message.startswith("engine.refused: ")
 
 
-@pytest.mark.parametrize("method", ["add", "find_overlaps"])
+@pytest.mark.parametrize("method", ["insert", "find_overlaps"])
 @pytest.mark.parametrize("is_atomic", [True, False], ids=["atomic", "independent"])
 def test_batch_is_refused_when_the_engine_fails(
     server: Server, method: str, *, is_atomic: bool
@@ -85,7 +85,7 @@ def test_batch_is_refused_when_the_engine_fails(
     assert result.result.error_message.startswith("engine.refused: ")
 
 
-@pytest.mark.parametrize("method", ["read", "step", "set_base_state", "remove"])
+@pytest.mark.parametrize("method", ["read", "step", "set_base_state", "discard"])
 def test_entity_is_frozen_or_deleted_when_the_engine_fails(server: Server, method: str) -> None:
     events = server.bus.subscribe(EVENTS.key("default"), 1000)
     server.client.spawn(a_culprit(method))
@@ -96,6 +96,6 @@ def test_entity_is_frozen_or_deleted_when_the_engine_fails(server: Server, metho
         received = [decode(Event, one.payload, one.encoding) for one in events.take()]
         return any(one.entity == "culprit" and "SystemError" in one.message for one in received)
 
-    if method != "remove":
+    if method != "discard":
         eventually(is_frozen, 10.0, "freezing")
     server.client.delete("culprit")

@@ -6,7 +6,7 @@ import pytest
 
 from tests.engines import STEP_NS
 from tests.models import a_body, a_state, angle_between
-from tests.sim_server.physics.bullet_probe import client_of
+from tests.sim_server.physics.bullet_probe import client_of, unique_id_of
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.model_messages import Frame, Joint, Link, Model, Origin
@@ -39,7 +39,7 @@ def find_motion(name: str) -> LinkState[float]:
 @pytest.mark.parametrize(("link", "name"), [(0, "turret"), (1, "slide"), (2, "foot"), (3, "hook")])
 def test_link_is_where_bullet_has_it_and_moves_so(link: int, name: str) -> None:
     engine = PyBulletEngine(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
-    body, client = engine.add(CRANE, ROOT), client_of(engine)
+    body, client = unique_id_of(engine, engine.add(CRANE, ROOT)), client_of(engine)
     for joint, (position, velocity) in enumerate(zip(POSITIONS, VELOCITIES, strict=True)):
         pybullet.resetJointState(body, joint, position, velocity, physicsClientId=client)
     state = pybullet.getLinkState(

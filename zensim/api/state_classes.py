@@ -67,6 +67,7 @@ STATE_MODULES: Final = frozenset(
         "sim_server.physics.actuation",
         "sim_server.physics.blueprint",
         "sim_server.physics.body_reach",
+        "sim_server.physics.body_table",
         "sim_server.physics.cells.cell_executor",
         "sim_server.physics.cells.celled_engine",
         "sim_server.physics.command_cache",

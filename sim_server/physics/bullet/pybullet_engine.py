@@ -526,9 +526,10 @@ class PyBulletEngine(Engine):
             kinds=GEOMETRY_TYPES,
             concave=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
         )
+        # Bullet gives bodies numbers of its own; all that is private here uses those.
+        self._unique_ids, self._numbers_of = dict[int, int](), dict[int, int]()
         self._bodies: dict[int, BulletBody] = {}
-        self._recipe: BodyRecipe | None = None
-        """Recipe of the last model."""
+        self._recipe: BodyRecipe | None = None  # of the last model
         self._pool = BodyPool(awake)
         self._blueprints = _make_blueprint_cache(config)
         self._twists: dict[int, list[float]] = {}
@@ -603,8 +604,12 @@ class PyBulletEngine(Engine):
             return True
         return True
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; a moving body needs a pooled body that is awake."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`; a moving body needs a pooled body that is awake."""
+        made = self._make_body(model, base)
+        self._unique_ids[body], self._numbers_of[made] = made, body
+
+    def _make_body(self, model: Model, base: FloatArray) -> int:
         recipe = self._find_recipe(model)
         if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
             known = replace(parked.body, rolling_frictions=recipe.body.rolling_frictions)
@@ -620,8 +625,10 @@ class PyBulletEngine(Engine):
             raise
         return body
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`; the body goes to the pool if there is room."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`; the body goes to the pool if there is room."""
+        body = self._unique_ids.pop(body)
+        del self._numbers_of[body]
         self._set_rolling_resistance(body, is_held=False)
         if body in self._recovering:
             self._set_recovery(body, RIGID_ERP)
@@ -643,6 +650,7 @@ class PyBulletEngine(Engine):
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`; not with gears, which would wake it."""
+        body = self._unique_ids[body]
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
             self._spinning.pop(body, None)
@@ -654,33 +662,36 @@ class PyBulletEngine(Engine):
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
-        self._set_activation(bodies, ACTIVATION_AWAKE)
-        for body in bodies:
+        found = self._find_unique_ids(bodies)
+        self._set_activation(found, ACTIVATION_AWAKE)
+        for body in found:
             self._set_collision_filter(body, known := self._bodies[body], collides=True)
             self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
         """See `Engine.sleep`."""
-        self._set_activation(bodies, ACTIVATION_ASLEEP)
+        self._set_activation(self._find_unique_ids(bodies), ACTIVATION_ASLEEP)
 
     def wake(self, bodies: Sequence[int]) -> None:
         """See `Engine.wake`."""
-        self._set_activation(bodies, ACTIVATION_AWAKE)
-        for body in bodies:
+        found = self._find_unique_ids(bodies)
+        self._set_activation(found, ACTIVATION_AWAKE)
+        for body in found:
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(self._bodies[body].joints))
 
     def find_contacts(self, body: int) -> Sequence[int]:
         """See `Engine.find_contacts`."""
+        body = self._unique_ids[body]
         touching = {
             self._slippery.find_original(point[2])
             for number in (body, *self._slippery.list_copies(body))
             for point in pybullet.getContactPoints(number, physicsClientId=self._client) or ()
         }
-        return sorted(touching & self._bodies.keys() - {body})
+        return sorted(self._numbers_of[one] for one in touching & self._bodies.keys() - {body})
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`."""
-        watched = set(bodies)
+        watched = set(self._find_unique_ids(bodies))
         pairs: list[tuple[int, int, int, int]] = []
         points: list[tuple[float, ...]] = []
         # All at once: of a single body, friction has the wrong sign where Bullet swaps the pair,
@@ -705,7 +716,7 @@ class PyBulletEngine(Engine):
         """Find the body and link of Bullet's numbers."""
         if (known := self._bodies.get(body)) is None:
             return GROUND, 0
-        return body, known.part_links[part + 1]
+        return self._numbers_of[body], known.part_links[part + 1]
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -714,7 +725,7 @@ class PyBulletEngine(Engine):
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`; a body that overlaps deeply leaves slowly from now on."""
-        client = self._client
+        body, client = self._unique_ids[body], self._client
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
         low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
@@ -723,7 +734,8 @@ class PyBulletEngine(Engine):
         others = sorted({other for other, _ in near} - {body} - unreal)
         depths = {other: self._measure_overlap(body, other) for other in others}
         self._limit_recovery(body, depths)
-        return [other for other in others if depths[other] and other in self._bodies]
+        found = [other for other in others if depths[other] and other in self._bodies]
+        return sorted(self._numbers_of[other] for other in found)
 
     def _measure_overlap(self, body: int, other: int) -> float:
         """Measure how deep two bodies overlap; 0 if they touch at most."""
@@ -770,13 +782,16 @@ class PyBulletEngine(Engine):
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
+        return self._read(self._find_unique_ids(bodies))
+
+    def _read(self, bodies: Sequence[int]) -> BodyStates:
         jointed = self._list_joints(bodies)
         base = self._com_frames.states(bodies, self._com_states(bodies))
         return BodyStates(base, *read_joint_states(jointed, self._client, pybullet.getJointStates))
 
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """See `Engine.read_joint_efforts`; friction and springs of joints are motors, too."""
-        jointed = self._list_joints(bodies)
+        jointed = self._list_joints(self._find_unique_ids(bodies))
         efforts = read_motor_efforts(jointed, self._client, pybullet.getJointStates)
         if self._joint_efforts or self._servos:
             self._add_applied(efforts, jointed)
@@ -800,6 +815,9 @@ class PyBulletEngine(Engine):
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
+        self._place(self._unique_ids[body], base)
+
+    def _place(self, body: int, base: FloatArray) -> None:
         state = self._com_frames.to_com_state(body, base)
         position, orientation = state[:3].tolist(), state[3:7].tolist()
         pybullet.resetBasePositionAndOrientation(
@@ -818,27 +836,33 @@ class PyBulletEngine(Engine):
     ) -> None:
         """See `Engine.set_state`; a body woken in this step moves from the next on."""
         self.set_base_state(body, base)
-        self._set_joints(body, positions, velocities)
+        self._set_joints(self._unique_ids[body], positions, velocities)
 
     def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.set_at_rest`."""
-        self.set_base_state(body, base)
+        self._place_at_rest(self._unique_ids[body], base, positions)
+
+    def _place_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None) -> None:
+        self._place(body, base)
         zeros = np.zeros(len(self._bodies[body].joints))
         self._set_joints(body, zeros if positions is None else positions, zeros)
         self._clear_targets(body)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        for body, own in self._commands.take_changed(bodies, targets):
+        found = self._find_unique_ids(bodies)
+        for body, own in self._commands.take_changed(found, targets):
             self._actuate(body, own)
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`."""
+        body = self._unique_ids[body]
         part = self._bodies[body].links[link]
         self._apply_wrench(body, part, self._part_state(body, part)[0], wrench[:3], wrench[3:])
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.apply_joint_effort`."""
+        body = self._unique_ids[body]
         self._apply_effort(body, self._bodies[body].joints[joint], effort)
 
     def step(self) -> bool:
@@ -863,7 +887,7 @@ class PyBulletEngine(Engine):
         self._limit_iterations()
         if self._ground is None or self._is_finite(self._ground):
             return True
-        self.set_base_state(self._ground, ORIGIN_STATE)
+        self._place(self._ground, ORIGIN_STATE)
         return False
 
     def close(self) -> None:
@@ -922,7 +946,7 @@ class PyBulletEngine(Engine):
         self._register(body, replace(recipe.body, gears=gears) if gears else recipe.body)
         # Created in place with joints at zero: setting the pose again takes a tenth of creating it.
         if math.hypot(*blueprint.parts[0].com) > MAX_BOX_SHIFT_M:
-            self.set_base_state(body, base)
+            self._place(body, base)
         elif base[7:].any():
             self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
         self._clear_targets(body)
@@ -979,7 +1003,7 @@ class PyBulletEngine(Engine):
     def _park(self, body: int, known: BulletBody) -> None:
         """Move a body to the pool, asleep unless it belongs to those kept awake."""
         self._set_collision_filter(body, known, collides=False)
-        self.set_base_state(body, self._pool.park(body, known))
+        self._place(body, self._pool.park(body, known))
         self._set_activation(self._pool.add_awake(body), ACTIVATION_ASLEEP)
 
     def _set_collision_filter(self, body: int, known: BulletBody, *, collides: bool) -> None:
@@ -1074,14 +1098,14 @@ class PyBulletEngine(Engine):
             self._set_activation([next_awake], ACTIVATION_AWAKE)
         self._set_collision_filter(body, known, collides=True)
         self._register(body, known)
-        self.set_at_rest(body, base)
+        self._place_at_rest(body, base, None)
         return body
 
     def _apply_pending_velocities(self) -> None:
         """Set the velocities of woken bodies: Bullet zeroes them in the first step after sleep."""
         for body, (velocity, speeds) in list(self._pending_velocities.items()):
             if velocity.any() or speeds.any():
-                positions = self.read([body]).joint_positions
+                positions = self._read([body]).joint_positions
                 self._set_velocity(body, velocity)
                 self._set_joints(body, positions, speeds)
         self._pending_velocities.clear()
@@ -1284,6 +1308,9 @@ class PyBulletEngine(Engine):
     def _com_states(self, bodies: Sequence[int]) -> FloatArray:
         read_pose, read_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
         return read_base_states(bodies, self._client, read_pose, read_velocity)
+
+    def _find_unique_ids(self, bodies: Sequence[int]) -> tuple[int, ...]:
+        return tuple(map(self._unique_ids.__getitem__, bodies))
 
     def _find_width(self, body: int) -> int:
         return self._bodies[body].actuation.width

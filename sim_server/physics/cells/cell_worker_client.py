@@ -8,7 +8,6 @@ import socket
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from itertools import count
 from multiprocessing.connection import Connection
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -279,7 +278,7 @@ class CellWorkerClient:
 
 
 class RemoteCell(Engine):
-    """The Engine of a cell in a worker; it numbers bodies itself, so that adding needs no reply."""
+    """The Engine of a cell in a worker."""
 
     capabilities = EngineCapabilities(hides=True, is_remote=True)
 
@@ -287,7 +286,6 @@ class RemoteCell(Engine):
         self.worker = worker
         self.cell = cell
         self._name = name
-        self._numbers = count()
         self._accepted: Model | None = None
         worker.enqueue("make", cell)
 
@@ -308,20 +306,18 @@ class RemoteCell(Engine):
         if model is not self._accepted and not _has_meshes(model):
             self._accepted = model
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; does not wait for a model that was accepted before."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`; does not wait for a model that was accepted before."""
         self.worker.select_model(model)
-        number = next(self._numbers)
         if model is self._accepted:
-            self.worker.enqueue("add_another", self.cell, number, base)
+            self.worker.enqueue("insert_another", self.cell, body, base)
         else:
-            self.worker.call(bool, "add", self.cell, number, base)
+            self.worker.call(bool, "insert", self.cell, body, base)
             self._accepted = model
-        return number
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`."""
-        self.worker.enqueue("remove", self.cell, body)
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`."""
+        self.worker.enqueue("discard", self.cell, body)
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`; has no effect if the worker's engine cannot hide."""

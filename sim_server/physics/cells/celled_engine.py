@@ -1,6 +1,5 @@
 """The Engine over many cells: regroup bodies, move them between cells, forward calls."""
 
-import heapq
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -35,7 +34,7 @@ from zensim.sim_server.scene.broad_phase import (
 
 LOG = logging.getLogger(__name__)
 ALL_CELLS = -1
-"""Cell of a body that cannot move: each cell has a copy."""
+"""Cell of a body that cannot move: each cell has it."""
 NO_CELL = -2
 INITIAL_CAPACITY = 64
 
@@ -46,14 +45,12 @@ class CellBody:
 
     Attributes:
         targets: Slice of its targets among all.
-        copies: Of a body that cannot move: its number by cell.
         base: Of a body that cannot move: its state row (13,).
     """
 
     model: Model
     reach: BodyReach
     targets: slice
-    copies: dict[int, int] = field(default_factory=dict)
     base: FloatArray | None = None
 
 
@@ -62,7 +59,6 @@ class CellBodyTable:
 
     Attributes:
         cell: (m,) cell of each, `ALL_CELLS` or `NO_CELL`.
-        inner: (m,) its number in the engine of that cell.
         place: (m, 2) last known position.
         rigid_m: (m,) radius with prismatic joints at zero.
         radius: (m,) radius [m] at the last regrouping.
@@ -89,7 +85,6 @@ class CellBodyTable:
         self.concealed: set[int] = set()
         self.sliding: dict[int, tuple[int, ...]] = {}
         self.cell: IntArray = np.full(INITIAL_CAPACITY, NO_CELL, np.intp)
-        self.inner: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.place: FloatArray = np.zeros((INITIAL_CAPACITY, 2))
         self.rigid_m: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.radius: FloatArray = np.zeros(INITIAL_CAPACITY)
@@ -104,7 +99,6 @@ class CellBodyTable:
         self.width: IntArray = np.zeros(INITIAL_CAPACITY, np.intp)
         self.targets: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.levers: FloatArray = np.zeros(INITIAL_CAPACITY)
-        self._free: list[int] = []
         self._gaps: dict[int, list[slice]] = {}
         self._targets_end = 0
 
@@ -124,14 +118,13 @@ class CellBodyTable:
         self.is_concealed[number] = is_concealed
         self.version += 1
 
-    def add(self, model: Model, reach: BodyReach, *, cell: int, inner: int) -> int:
-        """Add a body with the least free number."""
-        number = heapq.heappop(self._free) if self._free else len(self.by_number)
+    def add(self, number: int, model: Model, reach: BodyReach, *, cell: int) -> None:
+        """Add a body."""
         while number >= len(self.cell):
             self._grow()
         member = CellBody(model, reach, self._allocate_targets(len(reach.levers)))
         self.by_number[number] = member
-        self.cell[number], self.inner[number] = cell, inner
+        self.cell[number] = cell
         self.rigid_m[number] = self.radius[number] = reach.radius_m
         self.com_offset_m[number], self.speed_bound[number] = reach.com_offset_m, 0.0
         self.joint_count[number] = len(model.joints)
@@ -142,10 +135,9 @@ class CellBodyTable:
         self.levers[member.targets] = reach.levers
         self.forget_targets(number)
         self.version += 1
-        return number
 
-    def remove(self, number: int) -> CellBody:
-        """Remove a body, and free its number."""
+    def remove(self, number: int) -> None:
+        """Remove a body."""
         member = self.by_number.pop(number)
         self.moving_count -= int(self.cell[number]) >= 0
         self.cell[number] = NO_CELL
@@ -156,13 +148,11 @@ class CellBodyTable:
         self.is_commanded[number] = self.is_due[number] = False
         width = member.targets.stop - member.targets.start
         self._gaps.setdefault(width, []).append(member.targets)
-        heapq.heappush(self._free, number)
         self.version += 1
-        return member
 
-    def move(self, number: int, *, cell: int, inner: int) -> None:
+    def move(self, number: int, *, cell: int) -> None:
         """Record the new cell of a body; its targets become due there."""
-        self.cell[number], self.inner[number] = cell, inner
+        self.cell[number] = cell
         self.is_due[number] = self.is_commanded[number]
         self.version += 1
 
@@ -181,13 +171,6 @@ class CellBodyTable:
         self.load_speed[number] = 0.0
         self.targets[self.by_number[number].targets] = 0.0
 
-    def reset_numbering(self) -> None:
-        """Restart the numbering if there are no bodies."""
-        if not self.by_number:
-            self._free.clear()
-            self._gaps.clear()
-            self._targets_end = 0
-
     def _allocate_targets(self, width: int) -> slice:
         if gaps := self._gaps.get(width):
             return gaps.pop()
@@ -199,7 +182,6 @@ class CellBodyTable:
 
     def _grow(self) -> None:
         for name in (
-            "inner",
             "place",
             "rigid_m",
             "radius",
@@ -225,7 +207,7 @@ class CellBodyOrder:
     Attributes:
         cells: (c,) cells with such bodies.
         largest_first: The same, those with most bodies first.
-        bodies: For each cell, the numbers of its bodies in its engine.
+        bodies: For each cell, its bodies.
         numbers: (n,) of the bodies.
         row: (m,) index in `numbers` by number; -1 = absent.
         joint_start: (n + 1,) index of the first joint of each.
@@ -254,8 +236,7 @@ def make_body_order(members: CellBodyTable) -> CellBodyOrder:
     moving = members.present
     numbers = moving[np.argsort(members.cell[moving], kind="stable")]
     cells, firsts = np.unique(members.cell[numbers], return_index=True)
-    inner = members.inner[numbers]
-    parts = np.split(inner, firsts[1:]) if len(numbers) else []
+    parts = np.split(numbers, firsts[1:]) if len(numbers) else []
     by_size = np.argsort([-len(part) for part in parts], kind="stable")
     row = np.full(len(members.cell), -1, np.intp)
     row[numbers] = np.arange(len(numbers))
@@ -297,7 +278,6 @@ class CellIndexMap:
         targets: Indices of their targets in the table.
         starts: Starts in `targets`, of bodies with targets.
         driven: Numbers of those bodies.
-        in_single_cell: (n,) their numbers in cell 0, valid while it is the only cell.
     """
 
     rows: IntArray
@@ -310,7 +290,6 @@ class CellIndexMap:
     targets: IntArray
     starts: IntArray
     driven: IntArray
-    in_single_cell: tuple[int, ...]
 
     def select(self, states: BodyStates) -> BodyStates:
         """Select their states from the states of the order."""
@@ -332,11 +311,8 @@ def make_index_map(
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
     into = np.flatnonzero(rows >= 0)
     base = np.zeros((len(numbers), 13))
-    in_single_cell = members.inner[numbers]
     for at in np.flatnonzero(rows < 0).tolist():
-        member = members.by_number[bodies[at]]
-        base[at] = member.base
-        in_single_cell[at] = member.copies.get(0, in_single_cell[at])
+        base[at] = members.by_number[bodies[at]].base
     starts_in_table, widths = members.find_target_ranges(numbers)
     is_driven = widths > 0
     ends = np.cumsum(widths)
@@ -351,7 +327,6 @@ def make_index_map(
         expand_ranges(starts_in_table, widths)[1],
         (ends - widths)[is_driven].astype(np.intp),
         numbers[is_driven],
-        tuple(in_single_cell.tolist()),
     )
 
 
@@ -577,8 +552,6 @@ class CellMap:
         self._accepted: Model | None = None
         self._stuck: set[int] = set()
         """Bodies that another cell refused."""
-        self._inner_maps: dict[int, tuple[int, dict[int, int]]] = {}
-        """Version of `members` and our numbers of the bodies in the engine of a cell, by cell."""
         self._planned: dict[int, PlannedCells] = {}
         """Planned cells by the identity of the model of the expected bodies."""
         self.engines: dict[int, Engine] = {0: cells.make()}
@@ -653,96 +626,45 @@ class CellMap:
                 self._planned[id(body.model)] = PlannedCells(body.model)
             self._planned[id(body.model)].by_place.setdefault(body.place, body.cell)
 
-    def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
+    def insert(self, body: int, model: Model, reach: BodyReach, base: FloatArray) -> None:
         """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
         if not can_move(model):
-            copies = self._add_copies(model, base)
-            number = self.members.add(model, reach, cell=ALL_CELLS, inner=-1)
-            self.members.by_number[number].copies = copies
-            self.record_static(number)
-            return number
+            self._insert_in_all(body, model, base)
+            self.members.add(body, model, reach, cell=ALL_CELLS)
+            self.record_static(body)
+            return
         if self.members.moving_count > self._held_bodies * CELL_START_RATIO:
             self._cells.start()
         cell = self._find_planned_cell(model, base)
         if cell is None:
             cell = self._find_nearest_cell(base)
-        inner = self._find_accepting_engine(cell, model).add(model, base)
+        self._find_accepting_engine(cell, model).insert(body, model, base)
         self._accepted = model
-        return self.members.add(model, reach, cell=cell, inner=inner)
+        self.members.add(body, model, reach, cell=cell)
 
-    def remove(self, body: int) -> None:
+    def discard(self, body: int) -> None:
         """Remove a body from all its cells."""
-        for engine, inner in self.locate(body):
-            engine.remove(inner)
+        for engine in self.locate(body):
+            engine.discard(body)
         self.members.remove(body)
         self._stuck.discard(body)
 
-    def hide(self, body: int) -> None:
-        """Hide a body, if its engine can."""
-        for engine, inner in self.locate(body):
-            if engine.capabilities.hides:
-                engine.hide(inner)
-                self.members.set_concealed(body, is_concealed=True)
-
-    def show(self, bodies: Iterable[int]) -> None:
-        """Show hidden bodies."""
-        hidden: dict[int, tuple[Engine, list[int]]] = {}
-        for body in bodies:
-            for engine, inner in self.locate(body) if body in self.members.concealed else ():
-                hidden.setdefault(id(engine), (engine, []))[1].append(inner)
-            self.members.set_concealed(body, is_concealed=False)
-        for engine, inners in hidden.values():
-            engine.show(inners)
-
-    def read_each(self, bodies: Iterable[int]) -> BodyStates:
-        """Read bodies one by one, hidden ones included."""
-        each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
-        return concatenate_states(each)
-
-    def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
-        """Read the efforts of joints, each in its cell."""
-        by_cell: dict[int, list[tuple[int, int]]] = {}
-        for place, body in enumerate(bodies):
-            cell, inner = self._locate_by_cell(body)[0]
-            by_cell.setdefault(cell, []).append((place, inner))
-        counts = [len(self.members.by_number[body].model.joints) for body in bodies]
-        ends = np.cumsum(counts, dtype=np.intp)
-        efforts = np.zeros(sum(counts))
-        for cell, found in by_cell.items():
-            places = [place for place, _ in found]
-            into = expand_ranges((ends - counts)[places], np.array(counts, np.intp)[places])[1]
-            efforts[into] = self.engines[cell].read_joint_efforts([inner for _, inner in found])
-        return efforts
-
-    def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
-        """Read the contact points of bodies, each in its cell or cells."""
+    def group_by_cell(self, bodies: Iterable[int]) -> Sequence[tuple[Engine, list[int]]]:
+        """Group bodies by engine; what cannot move is in each."""
         by_cell: dict[int, list[int]] = {}
         for body in bodies:
-            for cell, inner in self._locate_by_cell(body):
-                by_cell.setdefault(cell, []).append(inner)
-        return concatenate_contacts(
-            [self._read_contacts_of_cell(cell, inner) for cell, inner in by_cell.items()]
-        )
+            cell = int(self.members.cell[body])
+            for one in self.engines if cell == ALL_CELLS else (cell,):
+                by_cell.setdefault(one, []).append(body)
+        return [(self.engines[cell], own) for cell, own in by_cell.items()]
 
-    def _read_contacts_of_cell(self, cell: int, inner: list[int]) -> ContactPoints:
-        found = self.engines[cell].read_contacts(inner)
-        if not len(found):
-            return found
-        return found.renumber(self._map_to_bodies(cell))
-
-    def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
-        """List the engines that contain a body, and its number in each."""
-        return [(self.engines[cell], inner) for cell, inner in self._locate_by_cell(body)]
-
-    def _locate_by_cell(self, body: int) -> Sequence[tuple[int, int]]:
-        if copies := self.members.by_number[body].copies:
-            return list(copies.items())
-        return [(int(self.members.cell[body]), int(self.members.inner[body]))]
+    def locate(self, body: int) -> Sequence[Engine]:
+        """List the engines that contain a body."""
+        return [engine for engine, _ in self.group_by_cell([body])]
 
     def record_static(self, body: int) -> None:
         """Store the state of a body that cannot move."""
-        engine, inner = self.locate(body)[0]
-        self.members.by_number[body].base = engine.read([inner]).base[0]
+        self.members.by_number[body].base = self.locate(body)[0].read([body]).base[0]
         self.members.version += 1
 
     def get_engine(self, cell: int) -> Engine:
@@ -754,43 +676,23 @@ class CellMap:
         if (known := self.engines.get(cell)) is not None:
             return known
         engine = self._cells.make()
-        statics = [one for one in self.members.by_number.values() if one.base is not None]
-        engine.expect([one.model for one in statics])
+        statics = [one for one in self.members.by_number.items() if one[1].base is not None]
+        engine.expect([one.model for _, one in statics])
         try:
-            copies = [engine.add(one.model, one.base) for one in statics if one.base is not None]
+            for body, one in statics:
+                if one.base is not None:
+                    engine.insert(body, one.model, one.base)
         except EngineRefused:
             self._cells.end(engine)
             raise
         self.engines[cell] = engine
-        for member, copy in zip(statics, copies, strict=True):
-            member.copies[cell] = copy
-        self._inner_maps.pop(cell, None)
         return engine
 
-    def find_overlaps(self, body: int) -> list[int]:
-        """Find the bodies that a body overlaps in its cells."""
-        members = self.members
-        cells = members.by_number[body].copies or {int(members.cell[body]): members.inner[body]}
-        found: set[int] = set()
-        for cell, inner in cells.items():
-            found.update(
-                self._to_body_numbers(cell, set(self.engines[cell].find_overlaps(int(inner))))
-            )
-        return sorted(found)
-
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Engine.find_overlaps_async`."""
-        cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
-        if cell < 0:
-            found = self.find_overlaps(body)
-            return lambda: found
-        wait = self.engines[cell].find_overlaps_async(inner)
-        return lambda: sorted(self._to_body_numbers(cell, set(wait())))
-
-    def is_idle(self) -> bool:
-        """See `Engine.is_idle`."""
-        are_idle = [engine.is_idle() for engine in self.engines.values()]  # asks each worker
-        return all(are_idle)
+        """Start to find the bodies that a body overlaps in its cells."""
+        waits = [engine.find_overlaps_async(body) for engine in self.locate(body)]
+        known = self.members.by_number
+        return lambda: sorted({one for wait in waits for one in wait() if one in known})
 
     def move(self, order: CellBodyOrder, states: BodyStates, cells: IntArray) -> bool:
         """Move bodies to other cells with their current states.
@@ -813,55 +715,37 @@ class CellMap:
                 engine = self._find_accepting_engine(cell, members.by_number[number].model)
                 if cell in arriving:
                     engine.expect(arriving.pop(cell))
-                inner = engine.add(members.by_number[number].model, states.base[row])
+                engine.insert(number, members.by_number[number].model, states.base[row])
             except EngineRefused as refused:
                 self._report_stuck(number, refused)
                 continue
-            self.engines[int(members.cell[number])].remove(int(members.inner[number]))
+            self.engines[int(members.cell[number])].discard(number)
             positions, velocities = states.joint_positions[joints], states.joint_velocities[joints]
-            engine.set_state(inner, states.base[row], positions, velocities)
-            members.move(number, cell=cell, inner=inner)
+            engine.set_state(number, states.base[row], positions, velocities)
+            members.move(number, cell=cell)
             self._stuck.discard(number)
         return bool(rows)
 
-    def take_faults(self) -> dict[int, str]:
-        """See `Engine.take_faults`."""
-        found: dict[int, str] = {}
-        for cell, engine in self.engines.items():
-            for inner, reason in engine.take_faults().items():
-                found.update(dict.fromkeys(self._to_body_numbers(cell, {inner}), reason))
-        return found
-
     def forget_removed(self) -> None:
-        """Close cells without moving bodies, and number new bodies as in a fresh run."""
+        """Close cells without moving bodies."""
         members = self.members
         occupied = set(members.cell[members.moving].tolist())
         for cell in [cell for cell in self.engines if cell and cell not in occupied]:
             self._cells.end(self.engines.pop(cell))
-            for member in members.by_number.values():
-                member.copies.pop(cell, None)
-            self._inner_maps.pop(cell, None)
         for engine in self.engines.values():
             engine.forget_removed()
-        members.reset_numbering()
 
-    def close(self) -> None:
-        """Close all cells."""
-        for engine in self.engines.values():
-            engine.close()
-        self._cells.close()
-
-    def _add_copies(self, model: Model, base: FloatArray) -> dict[int, int]:
+    def _insert_in_all(self, body: int, model: Model, base: FloatArray) -> None:
         """Add a body that cannot move to each cell, or to none; raises EngineRefused."""
-        copies: dict[int, int] = {}
+        having: list[Engine] = []
         try:
-            for cell, engine in self.engines.items():
-                copies[cell] = engine.add(model, base)
+            for engine in self.engines.values():
+                engine.insert(body, model, base)
+                having.append(engine)
         except EngineRefused:
-            for cell, inner in copies.items():
-                self.engines[cell].remove(inner)
+            for engine in having:
+                engine.discard(body)
             raise
-        return copies
 
     def _list_arriving(self, numbers: IntArray, cells: IntArray) -> dict[int, list[Model]]:
         """List the models of bodies that come to each cell."""
@@ -900,24 +784,6 @@ class CellMap:
         is_choice = np.append(has_room, (False, False))[cells]
         square = self.members.find_square_distances(base[:2])
         return int(cells[np.where(is_choice, square, np.inf).argmin()])
-
-    def _to_body_numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
-        """Convert body numbers of a cell's engine."""
-        known = self._map_to_bodies(cell)
-        yield from (known[one] for one in inner if one in known)
-
-    def _map_to_bodies(self, cell: int) -> Mapping[int, int]:
-        """Map the numbers of bodies in a cell's engine to ours."""
-        members = self.members
-        known = self._inner_maps.get(cell)
-        if known is None or known[0] != members.version:
-            own = np.flatnonzero(members.cell == cell)
-            found = dict(zip(members.inner[own].tolist(), own.tolist(), strict=True))
-            for number, member in members.by_number.items():
-                if cell in member.copies:
-                    found[member.copies[cell]] = number
-            known = self._inner_maps[cell] = (members.version, found)
-        return known[1]
 
 
 LOOKAHEAD_PERIODS = (4, 2, 1)
@@ -1016,31 +882,37 @@ class CelledEngine(Engine):
             [ExpectedBody(*row) for row in rows],
         )
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
-        number = self._cell_map.add(model, self._measure.measure(model), base)
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`."""
+        self._cell_map.insert(body, model, self._measure.measure(model), base)
         self._was_due = self._is_due
-        self._record_place(number, base)
+        self._record_place(body, base)
         if not (self._was_due or self._is_due_at_next_step):
-            self._is_due = self._joins_others(number, base)
-        return number
+            self._is_due = self._joins_others(body, base)
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`; hidden bodies need no regrouping."""
-        self._cell_map.hide(body)
+        for engine in self._cell_map.locate(body):
+            if engine.capabilities.hides:
+                engine.hide(body)
+                self._members.set_concealed(body, is_concealed=True)
         if body in self._members.concealed:
             # Its overlaps may have made a regrouping, which read it.
             self._states, self._is_due = None, self._was_due
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
-        self._cell_map.show(bodies)
+        hidden = [body for body in bodies if body in self._members.concealed]
+        for body in bodies:
+            self._members.set_concealed(body, is_concealed=False)
+        for engine, own in self._cell_map.group_by_cell(hidden):
+            engine.show(own)
         self._states, self._is_due = None, True
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`."""
         self._loads = [load for load in self._loads if load.body != body]
-        self._cell_map.remove(body)
+        self._cell_map.discard(body)
         self._states = None
 
     def forget_removed(self) -> None:
@@ -1069,49 +941,63 @@ class CelledEngine(Engine):
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """See `Engine.read_joint_efforts`; each cell reads its own."""
         if self._cell_map.is_single_cell:
-            inner = self._index_map(bodies).in_single_cell
-            return self._cell_map.engines[0].read_joint_efforts(inner)
+            return self._cell_map.engines[0].read_joint_efforts(bodies)
         order, index_map = self._current_order(), self._index_map(bodies)
         # Of few bodies, each cell reads only these; else indexing in Python takes more.
         is_most = len(order.numbers) <= 2 * len(index_map.rows)
         if not is_most or len(index_map.rows) < len(bodies):
-            return self._cell_map.read_joint_efforts(bodies)
+            return self._read_efforts_by_cell(bodies)
         engines, efforts = self._cell_map.engines, np.zeros(index_map.joint_count)
         cells = zip(order.cells, order.bodies, strict=True)
         found = np.concatenate([engines[cell].read_joint_efforts(own) for cell, own in cells])
         efforts[index_map.joints_into] = found[index_map.joints]
         return efforts
 
+    def _read_efforts_by_cell(self, bodies: Sequence[int]) -> FloatArray:
+        """Read the efforts of joints, those of each cell together."""
+        places = {body: place for place, body in enumerate(bodies)}
+        counts = self._members.joint_count[list(bodies)]
+        starts, efforts = np.cumsum(counts) - counts, np.zeros(counts.sum())
+        for engine, own in self._cell_map.group_by_cell(bodies):
+            at = [places[body] for body in own]
+            efforts[expand_ranges(starts[at], counts[at])[1]] = engine.read_joint_efforts(own)
+        return efforts
+
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; each cell reads its own."""
-        return self._cell_map.read_contacts(bodies)
+        groups = self._cell_map.group_by_cell(bodies)
+        return concatenate_contacts([engine.read_contacts(own) for engine, own in groups])
 
     def take_faults(self) -> Mapping[int, str]:
         """See `Engine.take_faults`."""
-        return self._cell_map.take_faults()
+        each = [engine.take_faults() for engine in self._cell_map.engines.values()]
+        return {body: reason for faults in each for body, reason in faults.items()}
 
     def is_idle(self) -> bool:
         """See `Engine.is_idle`."""
-        return self._cell_map.is_idle()
+        are_idle = [engine.is_idle() for engine in self._cell_map.engines.values()]
+        return all(are_idle)  # asks each worker
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
-        """See `Engine.read`."""
+        """See `Engine.read`; hidden bodies are read one by one."""
         if not self._members.concealed.isdisjoint(bodies):
-            return self._cell_map.read_each(bodies)
+            return concatenate_states(
+                [self._cell_map.locate(body)[0].read([body]) for body in bodies]
+            )
         if self._cell_map.is_single_cell:
-            return self._cell_map.engines[0].read(self._index_map(bodies).in_single_cell)
+            return self._cell_map.engines[0].read(bodies)
         return self._index_map(bodies).select(self._read_moving())
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
-        for engine, inner in self._cell_map.locate(body):
-            engine.set_base_state(inner, base)
+        for engine in self._cell_map.locate(body):
+            engine.set_base_state(body, base)
         self._record_place(body, base)
 
     def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.set_at_rest`."""
-        for engine, inner in self._cell_map.locate(body):
-            engine.set_at_rest(inner, base, positions)
+        for engine in self._cell_map.locate(body):
+            engine.set_at_rest(body, base, positions)
         self._members.forget_targets(body)
         self._record_place(body, base)
 
@@ -1119,8 +1005,8 @@ class CelledEngine(Engine):
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
         """See `Engine.set_state`."""
-        for engine, inner in self._cell_map.locate(body):
-            engine.set_state(inner, base, positions, velocities)
+        for engine in self._cell_map.locate(body):
+            engine.set_state(body, base, positions, velocities)
         self._record_place(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
@@ -1131,7 +1017,7 @@ class CelledEngine(Engine):
         members.targets[index_map.targets] = targets
         members.is_commanded[index_map.driven] = True
         if self._cell_map.is_single_cell:
-            self._cell_map.engines[0].command(index_map.in_single_cell, targets)
+            self._cell_map.engines[0].command(bodies, targets)
             return
         members.is_due[index_map.driven] = self._has_new_targets = True
         speeds = np.abs(targets) * members.levers[index_map.targets]
@@ -1165,14 +1051,15 @@ class CelledEngine(Engine):
 
     def close(self) -> None:
         """See `Engine.close`."""
-        self._cell_map.close()
+        for engine in self._cell_map.engines.values():
+            engine.close()
+        self._cells.close()
 
     def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
         """See `Engine.replicate`; refuses a world that is divided."""
         if not self._cell_map.is_single_cell:
             raise EngineRefused("a world of several cells cannot be copied; use clusters='off'")
-        inner = self._index_map(bodies).in_single_cell
-        return self._cell_map.engines[0].replicate(inner, count)
+        return self._cell_map.engines[0].replicate(bodies, count)
 
     def resume(self) -> None:
         """See `Engine.resume`."""
@@ -1337,11 +1224,11 @@ class CelledEngine(Engine):
     def _apply_loads(self) -> None:
         """Apply the queued loads to this step."""
         for body, part, load in self._loads:
-            for engine, inner in self._cell_map.locate(body):
+            for engine in self._cell_map.locate(body):
                 if isinstance(load, float):
-                    engine.apply_joint_effort(inner, part, load)
+                    engine.apply_joint_effort(body, part, load)
                 else:
-                    engine.apply_link_wrench(inner, part, load)
+                    engine.apply_link_wrench(body, part, load)
         self._loads.clear()
 
     def _list_pending_targets(self) -> Iterator[CellTargets]:
@@ -1358,7 +1245,6 @@ class CelledEngine(Engine):
         due = np.flatnonzero(is_due)
         cells = members.cell[order.numbers[due]]
         for cell in np.unique(cells).tolist():
-            numbers = order.numbers[due[cells == cell]]
-            targets = [members.targets[members.by_number[n].targets] for n in numbers.tolist()]
-            bodies = tuple(members.inner[numbers].tolist())
+            bodies = tuple(order.numbers[due[cells == cell]].tolist())
+            targets = [members.targets[members.by_number[body].targets] for body in bodies]
             yield CellTargets(engines[cell], bodies, np.concatenate(targets))

@@ -31,14 +31,13 @@ class Tier(IntEnum):
 
 
 class TierBodyTable:
-    """Columns of all bodies, indexed by row, the number of a body.
+    """Columns of all bodies, indexed by their numbers.
 
     Attributes:
         tier: One of `Tier`.
         is_auto: Whether it changes tiers automatically.
         is_held: Whether it may be in the kinematic tier; then its joints and targets are pooled.
         is_static: Whether it never moves.
-        full: Its number in the full engine; -1 = none.
         joint_count, joint_start: Range of its joints in the pool.
         width, target_start: Range of its targets in the pool.
         radius: Of its disc [m].
@@ -59,7 +58,6 @@ class TierBodyTable:
         self.is_auto: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
         self.is_held: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
         self.is_static: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
-        self.full: IntColumn = np.full(INITIAL_ROWS, -1, np.intp)
         self.joint_count: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
         self.joint_start: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
         self.width: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
@@ -75,27 +73,14 @@ class TierBodyTable:
         self.pace: FloatArray = np.zeros(INITIAL_ROWS)
         self.exceeds_limits: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
         self.reach_m = 0.0
-        self._free = list(range(INITIAL_ROWS))
-        self._used = 0
-        """Rows from here on have never been used, and are zero."""
 
-    def allocate(self) -> int:
-        """Allocate the lowest free row, set to zeros."""
-        if not self._free:
+    def add(self, row: int) -> None:
+        """Set a row, which may be beyond the end, to zeros."""
+        while row >= len(self.tier):
             self._grow()
-        row = heapq.heappop(self._free)
-        if row < self._used:
-            for column in vars(self).values():
-                if isinstance(column, np.ndarray):
-                    column[..., row] = 0
-        self._used = max(self._used, row + 1)
-        self.full[row] = -1
-        return row
-
-    def free(self, row: int) -> None:
-        """Free a row."""
-        self.tier[row] = Tier.NONE
-        heapq.heappush(self._free, row)
+        for column in vars(self).values():
+            if isinstance(column, np.ndarray):
+                column[..., row] = 0
 
     def tile(self, rows: IntColumn, copies: int) -> "TierBodyTable":
         """Make a table of `copies` times these rows, which pools their joints and targets anew."""
@@ -106,7 +91,6 @@ class TierBodyTable:
         found.joint_start = np.cumsum(found.joint_count) - found.joint_count
         found.target_start = np.cumsum(found.width) - found.width
         found.reach_m = self.reach_m
-        found._free, found._used = [], len(found.tier)
         return found
 
     def set_disc(self, row: int, radius_m: float, centre: Sequence[float] | FloatArray) -> None:
@@ -153,8 +137,6 @@ class TierBodyTable:
         return found
 
     def _grow(self) -> None:
-        size = len(self.tier)
-        self._free = list(range(size, 2 * size))
         for name, column in vars(self).items():
             if isinstance(column, np.ndarray):
                 setattr(self, name, np.concatenate([column, np.zeros_like(column)], axis=-1))
@@ -225,7 +207,7 @@ class TierIndexMap:
         count: Number of bodies.
         joint_count: Of all of them.
         at: Rows of the kinematic ones.
-        bodies: Numbers of the others in the full engine.
+        bodies: The others, which are in the full engine.
         pooled_joints: Indices of the joints of the kinematic ones in the pool.
         held: Rows of robots that may be kinematic.
         pooled_targets: Indices of their targets in the pool.
@@ -267,7 +249,7 @@ def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
         kinematic=kinematic,
         full=full,
         at=select_rows(kinematic.rows),
-        bodies=tuple(rows.full[full.rows].tolist()),
+        bodies=tuple(full.rows.tolist()),
         pooled_joints=expand_ranges(
             rows.joint_start[kinematic.rows], rows.joint_count[kinematic.rows]
         )[1],

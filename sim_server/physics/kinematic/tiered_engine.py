@@ -43,7 +43,7 @@ from zensim.sim_server.scene.convex_shapes import find_bounding_radius
 from zensim.sim_server.scene.footprints import MeshTriangles, find_outline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from zensim.proto.messages.model_messages import Dynamics, Model, TierName
     from zensim.sim_server.physics.engine import Engine, EngineReplicas, Place
@@ -112,12 +112,11 @@ MIN_RADIUS_M = 1e-3
 
 
 class TieredBodies:
-    """All bodies: rows of kinematic robots, and numbers of the others in the full engine.
+    """All bodies: kinematic robots, and the others, which are in the full engine.
 
     Attributes:
-        numbers: Row by number in the full engine.
-        movers: Those numbers whose bodies can move.
-        moving_rows: Their rows.
+        movers: Those in the full engine that can move.
+        moving_rows: The same, as an array.
         commanded: Rows of robots that were commanded since they were at rest.
         held_count: Number of robots that may be in the kinematic tier.
         jointed: Rows of bodies with a fixed root and joints that move.
@@ -129,7 +128,6 @@ class TieredBodies:
         self.surroundings = ProximityIndex(self.rows, self.kinematic, period_s)
         self.mappings = TierIndexMapCache(self.rows)
         self.models: dict[int, Model] = {}
-        self.numbers: dict[int, int] = {}
         self.commanded: set[int] = set()
         self.held_count = 0
         self.jointed: set[int] = set()
@@ -143,9 +141,10 @@ class TieredBodies:
         """Rows that were added since the last `gather`."""
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
-    def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
-        """Add a row for a body that is not in the full engine."""
-        rows, row = self.rows, self.rows.allocate()
+    def add(self, row: int, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> None:
+        """Add a body that is not in the full engine."""
+        rows = self.rows
+        rows.add(row)
         self.models[row] = model
         rows.tier[row] = Tier.KINEMATIC
         rows.joint_count[row], rows.width[row] = len(model.joints), model.target_count
@@ -160,7 +159,6 @@ class TieredBodies:
             self.kinematic.add(row, vehicle)
             self.held_count += 1
         self._added.add(row)
-        return row
 
     def hide(self, row: int) -> None:
         """Keep a kinematic body that was just added from moving and from stopping others."""
@@ -176,7 +174,7 @@ class TieredBodies:
 
     def remove(self, row: int) -> None:
         """Remove a body from its tier."""
-        if self.rows.full[row] >= 0:
+        if self.is_full(row):
             self.move_to_kinematic(row)
         self.surroundings.invalidate()
         if self.rows.is_held[row]:
@@ -188,48 +186,45 @@ class TieredBodies:
         self.jointed.discard(row)
         self._added.discard(row)
         del self.models[row]
-        self.rows.free(row)
+        self.rows.tier[row] = Tier.NONE
         self._invalidate()
 
-    def register_full(self, row: int, number: int) -> None:
-        """Record the number of a body in the full engine."""
-        rows = self.rows
-        rows.full[row], rows.tier[row] = number, Tier.FULL
-        self.numbers[number] = row
+    def is_full(self, row: int) -> bool:
+        """Whether a body is in the full engine."""
+        return bool(self.rows.tier[row] == Tier.FULL)
+
+    def register_full(self, row: int) -> None:
+        """Record that a body is in the full engine."""
+        self.rows.tier[row] = Tier.FULL
         self._has_movers, self._last = False, None
 
-    def move_to_full(self, row: int, *, at_once: bool = False) -> int:
-        """Add a body to the full engine if it is not there, and return its number.
+    def move_to_full(self, row: int, *, at_once: bool = False) -> None:
+        """Add a body to the full engine if it is not there.
 
         Args:
             row: Its row.
             at_once: Whether it must move in the next step; a sleeping body wakes a step later.
         """
-        rows = self.rows
-        if rows.full[row] < 0:
-            number = self.add_guest(row, WAKING_TURN_RAD_S if at_once else 0.0)
+        if not self.is_full(row):
+            self.add_guest(row, WAKING_TURN_RAD_S if at_once else 0.0)
             positions, velocities = self.kinematic.joints(row)
-            state = rows.states(np.array([row]))[0]
-            self._full.set_state(number, state, positions, velocities)
+            state = self.rows.states(np.array([row]))[0]
+            self._full.set_state(row, state, positions, velocities)
             if row in self.commanded:
-                self._full.command([number], self.kinematic.targets_of(row))
-            rows.full[row], rows.tier[row] = number, Tier.FULL
-            self.numbers[number] = row
+                self._full.command([row], self.kinematic.targets_of(row))
+            self.rows.tier[row] = Tier.FULL
             self._invalidate(has_movers=False)
-        return int(rows.full[row])
 
-    def add_guest(self, row: int, turning: float = 0.0) -> int:
+    def add_guest(self, row: int, turning: float = 0.0) -> None:
         """Add a copy of a kinematic body to the full engine, with a yaw rate [rad/s]."""
         state = self.rows.states(np.array([row]))[0]
         state[7:12], state[12] = 0.0, turning
-        return self._full.add(self.models[row], state)
+        self._full.insert(row, self.models[row], state)
 
     def move_to_kinematic(self, row: int) -> None:
         """Remove a body from the full engine."""
-        number = int(self.rows.full[row])
-        self._full.remove(number)
-        del self.numbers[number]
-        self.rows.full[row], self.rows.tier[row] = -1, Tier.KINEMATIC
+        self._full.discard(row)
+        self.rows.tier[row] = Tier.KINEMATIC
         self._invalidate(has_movers=False)
 
     def set_state(self, row: int, base: FloatArray) -> None:
@@ -297,7 +292,7 @@ class TieredBodies:
             return
         table = self.rows
         self.moving_rows = np.flatnonzero((table.tier == Tier.FULL) & ~table.is_static)
-        self.movers = tuple(table.full[self.moving_rows].tolist())
+        self.movers = tuple(self.moving_rows.tolist())
         for row in self.moving_rows[table.radius[self.moving_rows] <= 0.0].tolist():
             radius_m = find_bounding_radius(self.models[row], self._corners, unlimited_m=0.0)
             table.set_disc(row, max(radius_m, MIN_RADIUS_M), (0.0, 0.0))
@@ -343,7 +338,7 @@ class TierSwitcher:
         proximity = bodies.surroundings.find_near()
         discs = bodies.surroundings.discs
         needs_full = proximity.is_near | rows.exceeds_limits[discs]
-        is_flat = rows.is_auto[discs] & (rows.full[discs] < 0)
+        is_flat = rows.is_auto[discs] & (rows.tier[discs] != Tier.FULL)
         for row in discs[is_flat & needs_full].tolist():
             self._try_move_to_full(row)
         self._release_settled(proximity, discs)
@@ -387,7 +382,7 @@ class TierSwitcher:
         self, proximity: ProximityResult, discs: np.ndarray[tuple[int], np.dtype[np.intp]]
     ) -> None:
         rows = self._bodies.rows
-        is_full = rows.is_auto[discs] & (rows.full[discs] >= 0)
+        is_full = rows.is_auto[discs] & (rows.tier[discs] == Tier.FULL)
         is_settled = is_full & proximity.is_clear & ~rows.exceeds_limits[discs]
         for row in discs[is_full & ~is_settled].tolist():
             self._settled_s[row] = 0.0
@@ -449,76 +444,67 @@ class TieredEngine(EngineLayer):
         is_full = [self._plans.dynamics(one) == "full" for one in models]
         self._inner.expect(list(compress(models, is_full)), list(compress(places, is_full)))
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; refuses a model that needs the kinematic tier and cannot use it."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`; refuses a model that needs the kinematic tier and cannot use it."""
         bodies, plan = self._bodies, self._plans.plan(model)
         is_auto = self._plans.dynamics(model) == "auto"
-        number = -1
-        if plan is None or (is_auto and not self._starts_kinematic(base, plan[1].low)):
-            number = self._inner.add(model, base)
+        is_full = plan is None or (is_auto and not self._starts_kinematic(base, plan[1].low))
+        if is_full:
+            self._inner.insert(body, model, base)
         else:
-            self._verify_model(model, base)
-        row = bodies.add(model, plan, is_auto=is_auto)
-        if number >= 0:
-            bodies.register_full(row, number)
-        bodies.place(row, base)
-        return row
+            self._verify_model(body, model, base)
+        bodies.add(body, model, plan, is_auto=is_auto)
+        if is_full:
+            bodies.register_full(body)
+        bodies.place(body, base)
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`."""
         self._bodies.remove(body)
         self._switcher.forget(body)
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`."""
-        if (number := int(self._bodies.rows.full[body])) >= 0:
-            self._inner.hide(number)
+        if self._bodies.is_full(body):
+            self._inner.hide(body)
         else:
             self._bodies.hide(body)
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
-        numbers = self._bodies.rows.full[list(bodies)]
-        self._inner.show(numbers[numbers >= 0].tolist())
+        self._inner.show(list(filter(self._bodies.is_full, bodies)))
         self._bodies.show(bodies)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.find_overlaps`; kinematic bodies whose discs overlap join the engine."""
         bodies = self._bodies
-        full = bodies.rows.full
-        guests, is_by_edge = (
+        near, is_by_edge = (
             self._switcher.find_overlapping(body) if bodies.held_count else ([], False)
         )
-        if full[body] < 0 and not guests and not is_by_edge:
+        if not bodies.is_full(body) and not near and not is_by_edge:
             return []
-        guest_numbers: dict[int, int] = {}
+        guests: list[int] = []
         try:
-            for row in (body, *guests):
-                if full[row] < 0:
-                    guest_numbers[row] = bodies.add_guest(row)
-            mine = guest_numbers.get(body, int(full[body]))
-            found = self._inner.find_overlaps(mine)
-            rows = {number: row for row, number in guest_numbers.items()}
-            return sorted(rows[one] if one in rows else bodies.numbers[one] for one in found)
+            for row in (body, *near):
+                if not bodies.is_full(row):
+                    bodies.add_guest(row)
+                    guests.append(row)
+            return sorted(self._inner.find_overlaps(body))
         finally:
-            for number in guest_numbers.values():
-                self._inner.remove(number)
+            for row in guests:
+                self._inner.discard(row)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Engine.find_overlaps_async`; synchronous if there are kinematic bodies."""
-        number = int(self._bodies.rows.full[body])
-        if number < 0 or self._bodies.held_count:
+        if not self._bodies.is_full(body) or self._bodies.held_count:
             found = self.find_overlaps(body)
             return lambda: found
-        wait, rows = self._inner.find_overlaps_async(number), self._bodies.numbers
-        return lambda: sorted(rows[other] for other in wait() if other in rows)
+        return self._inner.find_overlaps_async(body)
 
     def read_contacts(self, bodies: Sequence[int]) -> ContactPoints:
         """See `Engine.read_contacts`; kinematic robots that are stopped feel no force."""
-        numbers = self._bodies.rows.full[list(bodies)]
-        numbers = numbers[numbers >= 0].tolist()
-        found = self._inner.read_contacts(numbers) if numbers else NO_CONTACTS
-        found = found.renumber(self._bodies.numbers)
+        full = self._bodies.mappings.get(bodies).bodies
+        found = self._inner.read_contacts(full) if full else NO_CONTACTS
         return concatenate_contacts([found, self._list_stops(bodies)])
 
     def _list_stops(self, bodies: Sequence[int]) -> ContactPoints:
@@ -528,18 +514,12 @@ class TieredEngine(EngineLayer):
         pairs, points = [], []
         for body in bodies:
             way = self._stopped.get(body)
-            if way is None or self._bodies.rows.full[body] >= 0:
+            if way is None or self._bodies.is_full(body):
                 continue
             if (found := self._bodies.surroundings.find_obstacle(body, way)) is not None:
                 pairs.append((body, 0, found.row, 0))
                 points.append((*found.point, *found.normal.tolist(), *(0.0,) * 5))
         return make_contact_points(pairs, points)
-
-    def take_faults(self) -> Mapping[int, str]:
-        """See `Engine.take_faults`."""
-        rows = self._bodies.numbers
-        faults = self._inner.take_faults()
-        return {rows[number]: reason for number, reason in faults.items() if number in rows}
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
@@ -580,7 +560,8 @@ class TieredEngine(EngineLayer):
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`; an always kinematic robot keeps the twist of its wheels."""
         if not self._stays_kinematic(body, base):
-            self._inner.set_base_state(self._bodies.move_to_full(body), base)
+            self._bodies.move_to_full(body)
+            self._inner.set_base_state(body, base)
         self._bodies.set_state(body, base)
 
     def set_state(
@@ -588,10 +569,11 @@ class TieredEngine(EngineLayer):
     ) -> None:
         """See `Engine.set_state`."""
         bodies = self._bodies
-        if bodies.rows.full[body] < 0:
+        if not bodies.is_full(body):
             bodies.kinematic.set_joints(body, positions, velocities)
         if not self._stays_kinematic(body, base):
-            self._inner.set_state(bodies.move_to_full(body), base, positions, velocities)
+            bodies.move_to_full(body)
+            self._inner.set_state(body, base, positions, velocities)
         bodies.set_state(body, base)
 
     def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
@@ -600,12 +582,13 @@ class TieredEngine(EngineLayer):
         if rows.is_held[body]:
             self._switcher.forget(body)
             bodies.stand_still(body, positions)
-            if rows.full[body] >= 0 and self._starts_kinematic(base, float(rows.heights[0, body])):
+            if bodies.is_full(body) and self._starts_kinematic(base, float(rows.heights[0, body])):
                 bodies.move_to_kinematic(body)
             if not self._stays_kinematic(body, base):
-                self._inner.set_at_rest(bodies.move_to_full(body), base, positions)
+                bodies.move_to_full(body)
+                self._inner.set_at_rest(body, base, positions)
         else:
-            self._inner.set_at_rest(int(rows.full[body]), base, positions)
+            self._inner.set_at_rest(body, base, positions)
         bodies.set_state(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
@@ -623,22 +606,20 @@ class TieredEngine(EngineLayer):
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`; no effect on robots that are always kinematic."""
         if self._can_be_pushed(body):
-            self._inner.apply_link_wrench(
-                self._bodies.move_to_full(body, at_once=True), link, wrench
-            )
+            self._bodies.move_to_full(body, at_once=True)
+            self._inner.apply_link_wrench(body, link, wrench)
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.apply_joint_effort`; no effect on robots that are always kinematic."""
         if self._can_be_pushed(body):
-            self._inner.apply_joint_effort(
-                self._bodies.move_to_full(body, at_once=True), joint, effort
-            )
+            self._bodies.move_to_full(body, at_once=True)
+            self._inner.apply_joint_effort(body, joint, effort)
 
     def replicate(self, bodies: Sequence[int], count: int) -> EngineReplicas:
         """See `Engine.replicate`; all that moves is in one tier, and stays there."""
         own = self._bodies
         if not own.held_count:
-            return self._inner.replicate(own.mappings.get(bodies).bodies, count)
+            return self._inner.replicate(bodies, count)
         own.gather()
         rows = own.rows
         moves = (rows.tier != Tier.NONE) & ~rows.is_static
@@ -667,11 +648,12 @@ class TieredEngine(EngineLayer):
         rows, ways = step_robots(self._bodies.kinematic, self._bodies.surroundings)
         self._stopped = dict(zip(rows.tolist(), ways, strict=True))
 
-    def _verify_model(self, model: Model, base: FloatArray) -> None:
+    def _verify_model(self, body: int, model: Model, base: FloatArray) -> None:
         """Check that the full engine accepts a model, before a robot switches to it."""
         if id(model) in self._verified:
             return
-        self._inner.remove(self._inner.add(model, base))
+        self._inner.insert(body, model, base)
+        self._inner.discard(body)
         self._verified[id(model)] = model
         if len(self._verified) > MAX_VERIFIED_MODELS:
             del self._verified[next(iter(self._verified))]
@@ -686,7 +668,7 @@ class TieredEngine(EngineLayer):
     def _stays_kinematic(self, body: int, base: FloatArray) -> bool:
         """Whether a kinematic robot that is moved to `base` remains kinematic."""
         rows = self._bodies.rows
-        if rows.full[body] >= 0:
+        if self._bodies.is_full(body):
             return False
         if not rows.is_auto[body]:
             return True

@@ -9,7 +9,6 @@ from contextlib import suppress
 from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
-from heapq import heappop, heappush
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import mujoco
@@ -699,8 +698,6 @@ class MujocoEngine(Engine):
         self._bodies: dict[int, MujocoBody] = {}
         self._diverged: set[int] = set()
         self._hidden: dict[int, FloatArray] = {}
-        self._free_numbers: list[int] = []
-        """Heap of the numbers of removed bodies."""
         self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
         self._announced: deque[Model] = deque()
         """Models of expected bodies, whose archetypes are not found yet."""
@@ -766,32 +763,29 @@ class MujocoEngine(Engine):
         self._slots.forget_expected()
         self._announced = deque(models)
 
-    def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
+        """See `Engine.insert`."""
         self._find_expected_archetypes(len(self._announced))
         archetype = self._find_archetype(model)
         compiled = self._compile_with_one_more(archetype, model.name)
         # Whatever may fail comes first: a slot must not be taken for a refused body.
         actuation = make_actuation(model)
         loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
-        free = self._free_numbers
-        number = heappop(free) if free else len(self._bodies) + 1
-        slot = self._slots.take(archetype, number)
+        slot = self._slots.take(archetype, body)
         if compiled is not self._compiled:
             self._switch_model(compiled)
             if self._config.compiles_ahead and not self._slots.expects_more:
                 counts = compiled.layout.slot_counts
                 _COMPILE_CACHE.compile_ahead(counts, archetype, self._config)
         address = compiled.layout.address(archetype, slot)
-        body = self._bodies[number] = MujocoBody(model, archetype, slot, address, actuation, loads)
-        self._own_geometries(number, address)
-        self._activate(body)
+        known = self._bodies[body] = MujocoBody(model, archetype, slot, address, actuation, loads)
+        self._own_geometries(body, address)
+        self._activate(known)
         zeros = np.zeros(len(model.joints))
-        self.set_state(number, base, zeros, zeros)
-        return number
+        self.set_state(body, base, zeros, zeros)
 
-    def remove(self, body: int) -> None:
-        """See `Engine.remove`; frees the slot."""
+    def discard(self, body: int) -> None:
+        """See `Engine.discard`; frees the slot."""
         self.wake([body])
         removed = self._bodies.pop(body)
         self._diverged.discard(body)
@@ -799,7 +793,6 @@ class MujocoEngine(Engine):
         self._deactivate(removed.address)
         self._owners[removed.address.geometries] = NO_INDEX
         self._slots.release(removed.archetype, removed.slot)
-        heappush(self._free_numbers, body)
         self._selections.clear()
 
     def hide(self, body: int) -> None:
@@ -1079,7 +1072,7 @@ class MujocoEngine(Engine):
         return _COMPILE_CACHE.compile(fewer, self._config)
 
     def _find_expected_archetypes(self, count: int) -> None:
-        """Find the archetypes of some expected bodies; `add` refuses those that have none."""
+        """Find the archetypes of some expected bodies; `insert` refuses those that have none."""
         for _ in range(min(count, len(self._announced))):
             with suppress(EngineRefused):
                 self._slots.expect_one_more(self._find_archetype(self._announced.popleft()))

@@ -25,14 +25,19 @@ def client_of(engine: PyBulletEngine) -> int:
     return engine._client  # noqa: SLF001  reads Bullet directly
 
 
+def unique_id_of(engine: PyBulletEngine, body: int) -> int:
+    """Find the number that Bullet gave to a body."""
+    return engine._unique_ids[body]  # noqa: SLF001  reads the map of the engine
+
+
 def link_numbers(engine: PyBulletEngine, body: int) -> tuple[int, ...]:
     """List Bullet's number of each link; the root is -1."""
-    return engine._bodies[body].links  # noqa: SLF001  reads the map of the engine
+    return engine._bodies[unique_id_of(engine, body)].links  # noqa: SLF001  reads the map of the engine
 
 
 def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:
     """List the parts of a body, root first."""
-    client = client_of(engine)
+    body, client = unique_id_of(engine, body), client_of(engine)
     count = pybullet.getNumJoints(body, physicsClientId=client)
     return [
         Dynamics(*pybullet.getDynamicsInfo(body, link, physicsClientId=client)[:8])
@@ -54,5 +59,5 @@ def bodies_in(engine: PyBulletEngine) -> int:
 
 def touching(engine: PyBulletEngine, first: int, second: int) -> int:
     """Count the contact points of two bodies."""
-    points = pybullet.getContactPoints(first, second, physicsClientId=client_of(engine))
-    return len(points)
+    pair = unique_id_of(engine, first), unique_id_of(engine, second)
+    return len(pybullet.getContactPoints(*pair, physicsClientId=client_of(engine)))

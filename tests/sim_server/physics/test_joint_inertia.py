@@ -7,7 +7,7 @@ import pytest
 from tests.engines import STEP_NS
 from tests.models import a_cart, a_state, an_arm
 from tests.sim_server.physics.bullet.test_part_numbers import a_tree
-from tests.sim_server.physics.bullet_probe import client_of
+from tests.sim_server.physics.bullet_probe import client_of, unique_id_of
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -19,7 +19,7 @@ from zensim.sim_server.physics.joint_inertia import find_joint_mobilities
 def test_mobilities_are_those_of_bullets_mass_matrix(seed: int, *, is_static: bool) -> None:
     model = a_tree(seed, is_static=is_static)
     engine = PyBulletEngine(EngineConfig(STEP_NS, has_ground=False))
-    body = engine.add(model, a_state())
+    body = unique_id_of(engine, engine.add(model, a_state()))
     client = client_of(engine)
     zeros = [0.0] * len(model.joints)
     matrix = np.array(pybullet.calculateMassMatrix(body, zeros, physicsClientId=client))

@@ -10,7 +10,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
-from tests.sim_server.physics.bullet_probe import client_of
+from tests.sim_server.physics.bullet_probe import client_of, unique_id_of
 from zensim.proto.messages.model_messages import Decay, Link, Model, Shape
 from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
@@ -471,9 +471,10 @@ def test_sleeping_body_does_not_move_in_bullet(
 ) -> None:
     body = stopped_box_bot(engine)
     advance(engine, STANDING)
-    before = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+    own, client = unique_id_of(inner, body), client_of(inner)
+    before = pybullet.getBasePositionAndOrientation(own, physicsClientId=client)
     advance(engine, SECONDS)
-    after = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+    after = pybullet.getBasePositionAndOrientation(own, physicsClientId=client)
 
     assert before == after
 

@@ -10,7 +10,12 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_state, on_ground
-from tests.sim_server.physics.bullet_probe import client_of, dynamics_of, link_numbers
+from tests.sim_server.physics.bullet_probe import (
+    client_of,
+    dynamics_of,
+    link_numbers,
+    unique_id_of,
+)
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Mimic, Model, Origin, Shape
 from zensim.proto.rigid_transforms import from_rpy
@@ -71,7 +76,10 @@ def test_joint_moves_the_link_of_its_name(engine: PyBulletEngine, seed: int) -> 
     parts = dynamics_of(engine, body)
     for link, number in list(enumerate(link_numbers(engine, body)))[1:]:
         state = pybullet.getLinkState(
-            body, number, computeForwardKinematics=1, physicsClientId=client_of(engine)
+            unique_id_of(engine, body),
+            number,
+            computeForwardKinematics=1,
+            physicsClientId=client_of(engine),
         )
         assert state[4] == pytest.approx(poses[f"l{link}"][0, :3], abs=1e-6)
         assert parts[number + 1].mass_kg == link + 1.0

@@ -168,8 +168,8 @@ def test_groups_keep_bodies_without_a_finite_place_apart() -> None:
 
 def test_order_has_the_cells_with_most_bodies_first_for_threads() -> None:
     table, reach = CellBodyTable(), BodyReach(0.1, 0.0, (), np.zeros(0))
-    for inner, cell in enumerate((2, 0, 1, 2, 1, 2, 3)):
-        table.add(a_box(), reach, cell=cell, inner=inner)
+    for body, cell in enumerate((2, 0, 1, 2, 1, 2, 3)):
+        table.add(body, a_box(), reach, cell=cell)
 
     order = make_body_order(table)
 
@@ -448,9 +448,9 @@ class AskedEngine(ObedientEngine):
         self.expected: list[Model] = []
         self.added: list[Model] = []
 
-    def add(self, model: Model, base: FloatArray) -> int:
+    def insert(self, body: int, model: Model, base: FloatArray) -> None:
         self.added.append(model)
-        return super().add(model, base)
+        super().insert(body, model, base)
 
     def prepare(self, model: Model) -> bool:
         self.prepared.append(model)

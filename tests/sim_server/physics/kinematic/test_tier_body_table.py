@@ -14,14 +14,12 @@ from zensim.sim_server.physics.kinematic.tier_body_table import (
 def three_rows() -> TierBodyTable:
     """A kinematic robot with two joints, a full box, and a full robot with one joint."""
     rows = TierBodyTable()
-    for tier, joints, width, full in (
-        (Tier.KINEMATIC, 2, 2, -1),
-        (Tier.FULL, 0, 0, 7),
-        (Tier.FULL, 1, 3, 9),
+    for row, (tier, joints, width) in enumerate(
+        ((Tier.KINEMATIC, 2, 2), (Tier.FULL, 0, 0), (Tier.FULL, 1, 3))
     ):
-        row = rows.allocate()
+        rows.add(row)
         rows.tier[row], rows.joint_count[row], rows.width[row] = tier, joints, width
-        rows.full[row], rows.is_held[row] = full, joints > 0
+        rows.is_held[row] = joints > 0
     rows.joint_start[:3], rows.target_start[:3] = (10, 0, 12), (20, 0, 22)
     return rows
 
@@ -29,7 +27,7 @@ def three_rows() -> TierBodyTable:
 def test_split_covers_all_joints_and_targets() -> None:
     found = split_by_tier(three_rows(), np.array([2, 0, 1]))
 
-    assert found.bodies == (9, 7)
+    assert found.bodies == (2, 1)
     assert (found.count, found.joint_count, found.held) == (3, 3, (2, 0))
     assert found.kinematic.places.tolist() == [1]
     assert found.kinematic.joints.tolist() == [1, 2]
@@ -43,13 +41,19 @@ def test_split_covers_all_joints_and_targets() -> None:
 def test_row_that_is_used_again_is_zero() -> None:
     rows = three_rows()
     rows.place[:, 1], rows.joint_count[1] = 4.0, 2
-    rows.free(1)
 
-    row = rows.allocate()
+    rows.add(1)
 
-    assert row == 1
-    assert (rows.full[row], rows.joint_count[row], rows.tier[row]) == (-1, 0, Tier.NONE)
-    assert not rows.place[:, row].any()
+    assert (rows.joint_count[1], rows.tier[1]) == (0, Tier.NONE)
+    assert not rows.place[:, 1].any()
+
+
+def test_table_grows_to_a_row_beyond_its_end() -> None:
+    rows = three_rows()
+
+    rows.add(1000)
+
+    assert rows.joint_count[[0, 2, 1000]].tolist() == [2, 1, 0]
 
 
 def test_index_map_is_cached_until_a_change() -> None:
@@ -58,10 +62,10 @@ def test_index_map_is_cached_until_a_change() -> None:
     first = mappings.get(bodies)
 
     assert mappings.get(bodies) is first
-    rows.tier[0], rows.full[0] = Tier.FULL, 3
+    rows.tier[0] = Tier.FULL
     mappings.invalidate()
 
-    assert mappings.get(bodies).bodies == (3, 7)
+    assert mappings.get(bodies).bodies == (0, 1)
 
 
 def test_index_map_of_a_list_is_not_cached() -> None:
@@ -70,7 +74,7 @@ def test_index_map_of_a_list_is_not_cached() -> None:
 
     bodies[0] = 1
 
-    assert mappings.get(bodies).bodies == (7,)
+    assert mappings.get(bodies).bodies == (1,)
 
 
 def test_unused_index_maps_are_dropped() -> None:
