@@ -69,7 +69,7 @@ CEILINGS: Final[Mapping[str, int]] = {
     "longest import chain": 34,
     "modules with three seams": 32,
     "classes of networks": 34,
-    "classes with six verbs of engines": 13,
+    "classes with six verbs of engines": 11,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine
     "files of a tick": 88,  # 77 to 83, likewise; ADRs 155 and 157 added four
 }

@@ -688,12 +688,6 @@ class CellMap:
         self.engines[cell] = engine
         return engine
 
-    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """Start to find the bodies that a body overlaps in its cells."""
-        waits = [engine.find_overlaps_async(body) for engine in self.locate(body)]
-        known = self.members.by_number
-        return lambda: sorted({one for wait in waits for one in wait() if one in known})
-
     def move(self, order: CellBodyOrder, states: BodyStates, cells: IntArray) -> bool:
         """Move bodies to other cells with their current states.
 
@@ -936,7 +930,9 @@ class CelledEngine(Engine):
             own = self._members.cell[body]
             if own != ALL_CELLS and ((near != own) & (near != ALL_CELLS)).any():
                 self._regroup()
-        return self._cell_map.find_overlaps_async(body)
+        waits = [engine.find_overlaps_async(body) for engine in self._cell_map.locate(body)]
+        known = self._members.by_number
+        return lambda: sorted({one for wait in waits for one in wait() if one in known})
 
     def read_joint_efforts(self, bodies: Sequence[int]) -> FloatArray:
         """See `Engine.read_joint_efforts`; each cell reads its own."""
