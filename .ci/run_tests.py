@@ -1,13 +1,15 @@
 """Run pytest, and run again, once and alone, what failed: at most five tests of a whole run.
 
-Usage: run_tests.py [OPTION OF PYTEST...], without paths, in the root of the repository. What passes
-alone is named at the end, and in build/passed_alone.txt: it depends on load or on other tests,
-which is a defect to mend. The exit status is that of pytest, and 1 if a test failed twice.
+Usage: run_tests.py [OPTION OF PYTEST...], without paths, in the root of the repository;
+`--workers N` runs the tests in N forked processes: forked_workers.py. What passes alone is named at
+the end, and in build/passed_alone.txt: it depends on load or on other tests, which is a defect to
+mend. The exit status is that of pytest, and 1 if a test failed twice.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -15,16 +17,29 @@ from pathlib import Path
 from typing import TypedDict
 
 import pytest
+from forked_workers import ForkedWorkers
 
 MOST_AGAIN = 5
 """More failures have a common cause, which is not load."""
-ALONE = ("-n", "0")
-"""In one process, one after another; the last `-n` counts."""
+ALONE = ("--workers", "0")
+"""In one process, one after another; the last `--workers` counts."""
 PASSED_ALONE = Path("build/passed_alone.txt")
 DURATIONS = Path("build/test_durations.json")
 """Wall and processor seconds of each test when it last ran, set-up and clean-up included."""
 SLOWEST = 10
 """Files and tests that the end of a run names."""
+FILE_CPU_S = 20.0
+"""Processor time of a file above which the end of a run names it."""
+LIMIT_VARIABLE = "FILE_CPU_LIMIT_S"
+"""Processor time above which a file that is not listed fails the run; unset: none does. `.ci/run`
+sets three times the above, because a busy or slower processor takes longer for the same work."""
+LONG_FILES = {
+    "tests/contract/test_one_loop.py": "each scenario runs twice, here and on a server",
+    "tests/deploy/test_sweep_commands.py": "sweeps of processes, killed in each part",
+    "tests/integration/test_ros_robots.py": "a server for each release of ROS and of the bridge",
+    "tests/zensim/api/test_failures.py": "servers of their own, which are killed or cut off",
+}
+"""Files that may take longer, and why."""
 
 
 class Outcome(TypedDict):
@@ -83,7 +98,7 @@ class Recorder:
 def record(target: Path, arguments: list[str]) -> int:
     """Run pytest in this process, and write its outcome to a file."""
     recorder = Recorder()
-    status = int(pytest.main(arguments, plugins=[recorder]))
+    status = int(pytest.main(arguments, plugins=[ForkedWorkers(), recorder]))
     target.write_text(json.dumps(recorder.outcome(status)))
     return status
 
@@ -123,15 +138,35 @@ def name_those_that_passed(tests: list[str]) -> None:
     sys.stdout.write(f"failed among others and passed alone; each is a defect to mend:\n{text}")
 
 
-def write_durations(durations: dict[str, list[float]]) -> None:
-    """Keep the seconds of each test, and print those of the slowest tests and files."""
-    before = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
-    DURATIONS.write_text(json.dumps({**before, **durations}, indent=0, sort_keys=True))
+def sum_files(durations: dict[str, list[float]]) -> dict[str, list[float]]:
+    """Sum wall and processor seconds by file."""
     files: dict[str, list[float]] = {}
     for test, (wall_s, cpu_s) in durations.items():
         spent = files.setdefault(test.partition("::")[0], [0.0, 0.0])
         spent[0] += wall_s
         spent[1] += cpu_s
+    return files
+
+
+def name_long_files(files: dict[str, list[float]]) -> bool:
+    """Print the files that took much processor time; return whether one is above the limit."""
+    limit_s = float(os.environ.get(LIMIT_VARIABLE, "inf"))
+    is_above = False
+    for file, (_, cpu_s) in sorted(files.items()):
+        if cpu_s <= min(FILE_CPU_S, limit_s) or file in LONG_FILES:
+            continue
+        verdict = ""
+        if cpu_s > limit_s:
+            is_above = True
+            verdict = f", above {limit_s:g} s: make it cheaper, or list it in .ci/run_tests.py"
+        sys.stdout.write(f"{file} took {cpu_s:.1f} s of processor time{verdict}\n")
+    return is_above
+
+
+def write_durations(durations: dict[str, list[float]], files: dict[str, list[float]]) -> None:
+    """Keep the seconds of each test, and print those of the slowest tests and files."""
+    before = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+    DURATIONS.write_text(json.dumps({**before, **durations}, indent=0, sort_keys=True))
     for kind, seconds in (("tests", durations), ("files", files)):
         slowest = sorted(seconds.items(), key=lambda item: -item[1][0])[:SLOWEST]
         lines = [f"{wall_s:8.1f} {cpu_s:8.1f}  {name}\n" for name, (wall_s, cpu_s) in slowest]
@@ -144,9 +179,10 @@ def main(arguments: list[str]) -> int:
     PASSED_ALONE.parent.mkdir(exist_ok=True)
     PASSED_ALONE.touch()  # now, because a later run as root would own it
     first = run(arguments)
-    write_durations(first["durations"])
-    if not is_worth_another(first):
-        return first["status"]
+    files = sum_files(first["durations"])
+    write_durations(first["durations"], files)
+    if (is_above := name_long_files(files)) or not is_worth_another(first):
+        return first["status"] or int(is_above)
     failed = first["failed"]
     sys.stdout.write(f"\n{len(failed)} failed; they run again, alone\n\n")
     sys.stdout.flush()

@@ -1,6 +1,7 @@
 """The script that runs the tests gives those that depend on load a second run, and names them."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from tests.contract.repository import ROOT
 
 SCRIPT = ROOT / ".ci" / "run_tests.py"
-WORKERS = ("-n", "2", "--dist", "loadfile")
+WORKERS = ("--workers", "2")
 PASSES = "def test_passes(): pass\n"
 FAILS_ONCE = """
 from pathlib import Path
@@ -35,17 +36,27 @@ CANNOT_BE_LISTED_ONCE = FAILS_ONCE + "test_fails_once()\n"
 NAME = "test_b.py::test_fails_once"
 
 
+TAKES_A_SECOND = """
+import pytest
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    report = yield
+    report.cpu_s = 1.0
+    return report
+"""
+
+
 def run_tests(
-    folder: Path, files: dict[str, str], *options: str
+    folder: Path, files: dict[str, str], *options: str, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
     """Run a suite of its own, without what this run of pytest set."""
-    (folder / "pytest.ini").write_text("[pytest]\naddopts = -p xdist -p no:cacheprovider\n")
+    (folder / "pytest.ini").write_text("[pytest]\naddopts = -p no:cacheprovider\n")
     for name, text in {"test_a.py": PASSES, **files}.items():
         (folder / name).write_text(text)
     return subprocess.run(
         [sys.executable, "-B", str(SCRIPT), *options],
         cwd=folder,
-        env={"PATH": "/usr/bin:/bin", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
+        env={"PATH": "/usr/bin:/bin", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **environment},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -144,3 +155,52 @@ def test_run_keeps_the_seconds_of_tests_and_names_the_slowest(
     assert all(len(seconds) == 2 for seconds in kept.values())
     assert done.stdout.count("test_b.py::test_passes\n") == 1, done.stdout
     assert "test_a.py" not in done.stdout.partition("slowest")[2]
+
+
+def test_workers_run_the_tests_of_a_file_in_one_process_and_import_none_anew(
+    tmp_path: Path,
+) -> None:
+    notes = """
+import os
+from pathlib import Path
+with Path("imported").open("a") as file:
+    file.write(f"{os.getpid()}\\n")
+def test_a(tmp_path): Path(f"{os.getpid()} {tmp_path}".replace("/", "!")).touch()
+def test_b(tmp_path): test_a(tmp_path)
+"""
+    done = run_tests(tmp_path, {"test_b.py": notes, "test_c.py": notes}, *WORKERS)
+
+    assert done.returncode == 0, done.stdout
+    (parent, other) = (tmp_path / "imported").read_text().split()
+    runs = [path.name.split() for path in tmp_path.glob("*!*")]
+    assert parent == other
+    assert len({path for _, path in runs}) == len(runs) == 4
+    assert 1 <= len({pid for pid, _ in runs} - {parent}) <= 2
+
+
+def test_run_ends_after_the_failures_that_its_options_allow(tmp_path: Path) -> None:
+    many = "import pytest\n@pytest.mark.parametrize('n', range(50))\ndef test_n(n): assert False\n"
+
+    done = run_tests(tmp_path, {"test_b.py": many}, "--maxfail", "2", *WORKERS)
+
+    assert done.returncode == pytest.ExitCode.TESTS_FAILED
+    assert "stopping after 2 failures" in done.stdout
+
+
+@pytest.mark.parametrize(("limit_s", "status"), [("2.5", 1), ("60", 0)])
+def test_file_fails_a_run_of_ci_when_it_takes_more_processor_time_than_its_limit(
+    tmp_path: Path, limit_s: str, status: int
+) -> None:
+    files = {"conftest.py": TAKES_A_SECOND, "test_a.py": PASSES}  # set-up, call and clean-up
+
+    done = run_tests(tmp_path, files, FILE_CPU_LIMIT_S=limit_s)
+
+    assert done.returncode == status, done.stdout
+    assert ("test_a.py took 3.0 s" in done.stdout) == bool(status)
+
+
+def test_listed_long_files_exist() -> None:
+    listed = re.findall(r'^    "(tests/.*\.py)": ', SCRIPT.read_text(), re.MULTILINE)
+
+    assert len(listed) >= 1
+    assert [file for file in listed if not (ROOT / file).exists()] == []

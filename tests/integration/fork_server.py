@@ -39,6 +39,8 @@ MODULE = "tests.integration.fork_server"
 PROGRAM = str(ROOT / "zensim" / "__main__.py")
 MAX_REQUEST_BYTES = 1 << 20
 NUMBER = struct.Struct("<i")
+END = struct.Struct("<id")
+"""Exit status of a program, and its processor seconds with those of its own child processes."""
 STREAMS = 3
 
 
@@ -73,10 +75,11 @@ class ForkedProgram(subprocess.Popen[str]):
     def _read_status(self, timeout_s: float | None) -> int | None:
         with self._waitpid_lock:
             if self.returncode is None and select.select([self._status], [], [], timeout_s)[0]:
-                packed = os.read(self._status, NUMBER.size)
+                packed = os.read(self._status, END.size)
                 # The fork server is gone with all of its programs if nothing can be read.
-                self.returncode = NUMBER.unpack(packed)[0] if packed else -signal.SIGKILL
+                self.returncode, cpu_s = END.unpack(packed) if packed else (-signal.SIGKILL, 0.0)
                 os.close(self._status)
+                _ended_cpu_s.append(_ended_cpu_s.pop() + cpu_s)
             return self.returncode
 
 
@@ -118,6 +121,12 @@ class ForkServer:
 
 _servers: dict[int, ForkServer] = {}
 """By process id: a process that tests fork has none of its own."""
+_ended_cpu_s = [0.0]
+
+
+def find_cpu_time_s() -> float:
+    """Find the processor time of the programs that ended, which are no child processes."""
+    return _ended_cpu_s[0]
 
 
 def start_program(arguments: Sequence[str]) -> ForkedProgram:
@@ -208,8 +217,9 @@ class _Children:
     def _reap(self, descriptor: int, pid: int, status: int) -> None:
         self._selector.unregister(descriptor)
         os.close(descriptor)
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        os.write(status, NUMBER.pack(code))
+        _, code, usage = os.wait4(pid, 0)
+        cpu_s = usage.ru_utime + usage.ru_stime
+        os.write(status, END.pack(os.waitstatus_to_exitcode(code), cpu_s))
         os.close(status)
 
 
