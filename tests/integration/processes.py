@@ -64,13 +64,15 @@ def _first_port() -> int:
     return os.getppid() * 997 + worker * PORTS_OF_WORKER
 
 
-_next_ports = count(_first_port())
+_next_ports: dict[int, Iterator[int]] = {}
+"""By process id: a worker is a fork of the process that imports this module."""
 
 
 def free_endpoint(protocol: str = "tcp", host: str = "127.0.0.1") -> str:
     """Find an unused endpoint, which no other process of this run of tests will choose."""
+    ports = _next_ports.setdefault(os.getpid(), count(_first_port()))
     while True:
-        port = PORTS[next(_next_ports) % len(PORTS)]
+        port = PORTS[next(ports) % len(PORTS)]
         with socket.socket() as probe:
             try:
                 probe.bind((host, port))
