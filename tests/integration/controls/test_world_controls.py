@@ -78,6 +78,7 @@ def test_sensor_is_plotted_as_chosen(page: Page) -> None:
 ALONG_HANDLES = """
 (() => {
   const {camera, canvas, nodeRefFromName} = window.__viserMutable;
+  if (!nodeRefFromName["/handles"]) return null; // in the scene's tree, but not drawn yet
   const box = canvas.getBoundingClientRect(), at = (metres) => {
     const seen = camera.position.clone().set(metres, 0, 0)
       .applyMatrix4(nodeRefFromName["/handles"].matrixWorld).project(camera);
@@ -86,7 +87,7 @@ ALONG_HANDLES = """
   return [at(0.5), at(1.0)];
 })()
 """
-"""Places on the screen along the x axis of the handles of an entity."""
+"""Places on the screen along the x axis of an entity's handles; null while they are not drawn."""
 
 # The tab "Edit".
 
@@ -157,8 +158,9 @@ def test_entity_is_moved_by_handles_in_the_scene(page: Page) -> None:
     page.until_node("/handles")
 
     def drag() -> bool:
-        start, end = page.tab.evaluate(ALONG_HANDLES)
-        page.controls.drag(start, end)
+        if not (places := page.tab.evaluate(ALONG_HANDLES)):
+            return False
+        page.controls.drag(*places)
         page.tab.evaluate(PAUSE % 1000)
         now = page.state_of("r3").pose.position
         return abs(now.x - before.x) + abs(now.y - before.y) > 0.05
