@@ -18,12 +18,14 @@ from zensim.sim_server.description.rest_pose import GRAVITY
 from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from zensim.proto.messages.model_messages import Joint, Link, Model, Vec3
 
 TOLERANCE = 1e-3
 """Share of its limit by which the load of a joint may be more without an entry."""
+MOST_SHOWN = 3
+"""Frictions that an entry names."""
 COST = ReportEntry(
     "applied",
     "cost",
@@ -33,7 +35,7 @@ COST = ReportEntry(
 
 
 def describe_joint_loads(model: Model) -> tuple[ReportEntry, ...]:
-    """Describe which controlled joints fall, with the root level; nothing without controllers.
+    """Describe which controlled joints fall or yield, the root level; nothing without controllers.
 
     Loads are those of gravity at the start: at the initial positions of controllers, else 0. A
     joint bears what hangs on it, and what hangs on the joints that mimic it.
@@ -46,7 +48,27 @@ def describe_joint_loads(model: Model) -> tuple[ReportEntry, ...]:
     notes = [_describe_fall(joint, loads[joint.name]) for joint in fallen]
     if names and not _has_one_gravity(model):
         notes.append(UNEVEN)
+    if names and any(link.collisions for link in model.links[1:]):
+        notes += [BENDING, *_describe_grip(model)]
     return (*notes, COST)
+
+
+def _describe_grip(model: Model) -> Iterator[ReportEntry]:
+    """Say what PyBullet makes of the frictions of links that hold or push what moves."""
+    shapes = (shape for link in model.links for shape in link.collisions)
+    frictions = sorted({shape.friction for shape in shapes} - {0.0, 1.0})
+    if frictions:
+        shown = ", ".join(f"{one:g}" for one in frictions[:MOST_SHOWN])
+        note = f"{shown} on a moving body grips by the product with its friction in PyBullet, "
+        yield ReportEntry("predicted", "friction", note + "not by the lesser")
+
+
+BENDING = ReportEntry(
+    "predicted",
+    "joints",
+    "what its links bear by contacts bends it in PyBullet, with the square of the step: 5 kg on "
+    "six joints over 1.5 m by 15 mrad at 100 Hz, 3 at 240 Hz, 0.2 at 1000 Hz",
+)
 
 
 UNEVEN = ReportEntry(

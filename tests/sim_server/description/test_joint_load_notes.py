@@ -5,8 +5,13 @@ import pytest
 
 from tests.models import a_box_bot
 from tests.sim_server.description.chain_models import ArmCase, MastCase
-from zensim.proto.messages.model_messages import CommandInterface, Model
-from zensim.sim_server.description.joint_load_notes import COST, UNEVEN, describe_joint_loads
+from zensim.proto.messages.model_messages import CommandInterface, Model, Shape
+from zensim.sim_server.description.joint_load_notes import (
+    BENDING,
+    COST,
+    UNEVEN,
+    describe_joint_loads,
+)
 from zensim.sim_server.description.pipeline import parse_description
 
 
@@ -16,11 +21,34 @@ def read(text: str) -> Model:
 
 def falling(model: Model) -> list[str]:
     entries = describe_joint_loads(model)
-    return [one.subject for one in entries if one.status == "predicted"]
+    return [one.subject for one in entries if one.subject.startswith("joint '")]
 
 
 def test_strong_arm_has_an_entry_on_its_cost_only() -> None:
     assert describe_joint_loads(read(ArmCase(3, 5.0).write_urdf())) == (COST,)
+
+
+def with_tray(model: Model, friction: float) -> Model:
+    *others, last = model.links
+    tray = Shape("box", (0.2, 0.2, 0.02), friction=friction)
+    return msgspec.structs.replace(
+        model, links=(*others, msgspec.structs.replace(last, collisions=(tray,)))
+    )
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_arm_that_can_touch_is_told_to_yield_in_pybullet(friction: float) -> None:
+    model = with_tray(read(ArmCase(3, 5.0).write_urdf()), friction)
+
+    assert describe_joint_loads(model) == (BENDING, COST)
+
+
+def test_frictions_that_pybullet_multiplies_are_told() -> None:
+    model = with_tray(read(ArmCase(3, 5.0).write_urdf()), 0.4)
+
+    (entry,) = [one for one in describe_joint_loads(model) if one.subject == "friction"]
+
+    assert (entry.status, entry.reason.split()[0]) == ("predicted", "0.4")
 
 
 def test_robot_without_controlled_joints_gets_no_entry() -> None:
