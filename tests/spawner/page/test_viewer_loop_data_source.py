@@ -26,15 +26,17 @@ from zensim.proto.messages.world_messages import Scene
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
 from zensim.spawner.client.world_follower import PERIOD_S
-from zensim.spawner.page.render_state import LastCommand
-from zensim.spawner.page.viewer_loop import (
+from zensim.spawner.page.mesh_fetcher import (
     FETCH_BUDGET_S,
     MESH_BUDGET_BYTES,
     MESH_RETRY_S,
+    MeshFetcher,
+)
+from zensim.spawner.page.render_state import LastCommand
+from zensim.spawner.page.viewer_data import (
     MIN_FRAME_PERIOD_S,
     SERVER_TIMEOUT_S,
     STILL_PERIOD_S,
-    MeshFetcher,
     ViewerDataSource,
     ViewState,
 )
