@@ -50,6 +50,7 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
 from zensim.proto.topic_discovery import TopicEndpoint
 from zensim.proto.verbosity import CURRENT, print_note
+from zensim.spawner.client.topic_reader import read_topic
 
 app = make_app("topic")
 app.command("echo")(echo)
@@ -187,12 +188,11 @@ def delay(given: MeasureOptions) -> None:
     delays: list[float] = []
     now_ns: list[int] = []
     with open_client("topic delay", given) as client:
-        clock = client.bus.subscribe(CLOCK.key(given.world_name))
+        clock = read_topic(client.bus, CLOCK.key(given.world_name), WorldClock)
 
         def receive(_: float, samples: list[Sample]) -> None:
             if (newest := clock.newest()) is not None:
-                time_of = decode(WorldClock, newest.payload, newest.encoding).clock
-                now_ns[:] = [ns_from_time(time_of)]
+                now_ns[:] = [ns_from_time(newest.clock)]
             stamps = [read_stamp_ns(sample) for sample in samples]
             delays.extend((now_ns[0] - stamp) / NANOSECONDS for stamp in stamps if now_ns)
             del delays[: -given.window]

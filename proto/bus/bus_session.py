@@ -545,6 +545,10 @@ class CopyingSubscription:
         self._traffic.received_bytes += sum([len(one.payload) for one in found])
         return found
 
+    def newest(self) -> Sample | None:
+        """Take all queued messages and return the last."""
+        return next(reversed(self.take()), None)
+
     def close(self) -> None:
         """Undeclare the subscription."""
         self._subscriber.undeclare()

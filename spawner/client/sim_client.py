@@ -7,8 +7,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 
 from zensim.proto.bus.bus_errors import NoServer
-from zensim.proto.bus.bus_session import Bus, BusSubscription
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.bus.bus_session import Bus
+from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
@@ -20,6 +20,7 @@ from zensim.proto.messages.telemetry_messages import Info, Stats
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 from zensim.proto.topic_catalog import STATS, STEPS_PROGRESS
 from zensim.spawner.client.service_client import CALL_TIMEOUT_S, ServiceClient
+from zensim.spawner.client.topic_reader import TopicReader, read_topic
 
 MAX_LATE_POLLS = 20
 GOAL_POLL_S = 0.005
@@ -56,7 +57,7 @@ def run_step_goal(
         TimeoutError: The goal did not finish in time.
         NoServer: No server has this world.
     """
-    progress = bus.subscribe(STEPS_PROGRESS.key(world), PROGRESS_DEPTH)
+    progress = read_topic(bus, STEPS_PROGRESS.key(world), StepsProgress, PROGRESS_DEPTH)
     try:
         with ThreadPoolExecutor(1) as executor:
             response = executor.submit(
@@ -76,7 +77,7 @@ def run_step_goal(
 
 
 def _follow_progress(
-    progress: BusSubscription,
+    progress: TopicReader[StepsProgress],
     goal_id: str,
     response: "Future[SimulateStepsResponse]",
     on_progress: OnProgress,
@@ -85,11 +86,7 @@ def _follow_progress(
     while True:
         # Checked first, so that progress that arrived with the response is not lost.
         is_over = response.done()
-        for sample in progress.take():
-            try:
-                status = decode(StepsProgress, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
+        for status in progress.take():
             if status.goal_id == goal_id:
                 last = status
                 on_progress(status)

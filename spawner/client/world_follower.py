@@ -2,21 +2,21 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from contextlib import suppress
 from typing import Final, TypeAlias
 
 import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus.bus_errors import BusError
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import Event, EventKind, GetModelsResponse
 from zensim.proto.network_protocols import FollowingNetwork
 from zensim.proto.topic_catalog import EVENTS
 from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.topic_reader import read_topic
 
 TIMEOUT_S: Final = 2.0
 """Longest wait for the models of a world."""
@@ -79,7 +79,7 @@ class WorldFollower:
         self._client = ServiceClient(network, world, timeout_s)
         self._kinds, self._period_s, self._clock = kinds, period_s, clock
         self._servers = network.watch_tokens(keys.alive_server(world))
-        self._events = network.subscribe(EVENTS.key(world), EVENTS_DEPTH)
+        self._events = read_topic(network, EVENTS.key(world), Event, EVENTS_DEPTH)
         self._due_s = self._free_s = -math.inf
         self._is_fetching = False
         self.models: GetModelsResponse | None = None
@@ -97,7 +97,7 @@ class WorldFollower:
     def take(self) -> WorldChanges:
         """Take what was heard since the last call, and note whether models are due."""
         servers = tuple(is_alive for _, is_alive in self._servers.take())
-        events = tuple(self._take_events())
+        events = tuple(self._events.take())
         if any(servers):
             self.is_current = False
             self._due_s = self._free_s = -math.inf
@@ -150,8 +150,3 @@ class WorldFollower:
         self._free_s = ended_s + (pause_s if self._period_s or models is None else 0.0)
         self._is_fetching = False
         return models
-
-    def _take_events(self) -> Iterator[Event]:
-        for sample in self._events.take():
-            with suppress(MalformedPayload):
-                yield decode(Event, sample.payload, sample.encoding)

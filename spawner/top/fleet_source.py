@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from zensim.proto.bus.bus_session import Bus, BusSubscription, CopyingSubscription
+from zensim.proto.bus.bus_session import Bus, CopyingSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.sensor_messages import SensorStats
@@ -19,6 +19,7 @@ from zensim.proto.messages.telemetry_messages import Snapshot, Stats
 from zensim.proto.stats_publisher import read_host_name
 from zensim.proto.topic_catalog import AGENT_STATS, ODOM, SENSOR_STATS, SNAPSHOT, STATS, TopicSpec
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.topic_reader import TopicReader, WantedTopics, read_topic
 from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.top.fleet_figures import NO_MODELS, FleetReading
 from zensim.spawner.top.local_processes import list_descendants
@@ -35,57 +36,47 @@ QUERY_TIMEOUT_S: Final = 0.5
 class Reports(Generic[Report]):
     """The last report of each process, until it is silent."""
 
-    def __init__(
-        self, subscription: BusSubscription, kind: type[Report], name: Callable[[Report], str]
-    ) -> None:
-        self._subscription = subscription
-        self._kind = kind
-        self._name = name
+    def __init__(self, reader: TopicReader[Report], name: Callable[[Report], str]) -> None:
+        self._reader, self._name = reader, name
         self._last: dict[str, tuple[float, Report]] = {}
 
     def read(self, now_s: float) -> Mapping[str, Report]:
         """Read the reports by name."""
-        for sample in self._subscription.take():
-            try:
-                report = decode(self._kind, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
+        for report in self._reader.take():
             self._last[self._name(report)] = (now_s, report)
         fresh = {name: at for name, at in self._last.items() if now_s - at[0] <= SILENT_S}
         return {name: fresh[name][1] for name in sorted(fresh)}
 
-    def find_newest(self) -> Report | None:
-        """Find the last report, however old it is."""
-        return max(self._last.values(), key=lambda one: one[0])[1] if self._last else None
+    @property
+    def last(self) -> Report | None:
+        """The last report, however old it is."""
+        return self._reader.last
 
     def close(self) -> None:
         """Undeclare the subscription."""
-        self._subscription.close()
+        self._reader.close()
 
 
 class OdometryRates:
     """Measures the rates of odometry of some robots."""
 
     def __init__(self, bus: Bus) -> None:
-        self._bus = bus
-        self._subscriptions: dict[str, CopyingSubscription] = {}
+        # They wait for a second: each would keep the buffer that it was received in.
+        self._topics: WantedTopics[str, CopyingSubscription] = WantedTopics(
+            lambda key: bus.subscribe_copying(key, ODOM_DEPTH)
+        )
         self._since_s: dict[str, float] = {}
 
     def watch(self, namespaces: Iterable[str], now_s: float) -> None:
         """Subscribe to these robots only."""
-        wanted = set(namespaces)
-        for gone in self._subscriptions.keys() - wanted:
-            self._subscriptions.pop(gone).close()
-            del self._since_s[gone]
-        for new in sorted(wanted - self._subscriptions.keys()):
-            # They wait for a second: each would keep the buffer that it was received in.
-            self._subscriptions[new] = self._bus.subscribe_copying(ODOM.key(new), ODOM_DEPTH)
-            self._since_s[new] = now_s
+        wanted = {one: ODOM.key(one) for one in sorted(set(namespaces))}
+        self._topics.follow(wanted)
+        self._since_s = {one: self._since_s.get(one, now_s) for one in wanted}
 
     def read(self, now_s: float) -> dict[str, float]:
         """Count the messages since the reading before [Hz]."""
         found = {}
-        for namespace, subscription in self._subscriptions.items():
+        for namespace, subscription in self._topics:
             elapsed_s = now_s - self._since_s[namespace]
             count = len(subscription.take())
             if elapsed_s > 0.0:
@@ -111,12 +102,12 @@ class FleetSource:
         self._client = client
         self._follower = WorldFollower(bus, world)
 
-        def subscribe(topic: TopicSpec, *owner: str) -> BusSubscription:
-            return bus.subscribe(topic.key(world, *owner), REPORTS_DEPTH)
+        def read(kind: type[Report], topic: TopicSpec, *owner: str) -> TopicReader[Report]:
+            return read_topic(bus, topic.key(world, *owner), kind, REPORTS_DEPTH)
 
-        self._stats = Reports(subscribe(STATS), Stats, lambda one: one.world)
-        self._agents = Reports(subscribe(AGENT_STATS, "*"), AgentStats, lambda one: one.agent)
-        self._sensors = Reports(subscribe(SENSOR_STATS, "*"), SensorStats, lambda one: one.process)
+        self._stats = Reports(read(Stats, STATS), lambda one: one.world)
+        self._agents = Reports(read(AgentStats, AGENT_STATS, "*"), lambda one: one.agent)
+        self._sensors = Reports(read(SensorStats, SENSOR_STATS, "*"), lambda one: one.process)
         self._rates = OdometryRates(bus)
 
     def watch(self, namespaces: Iterable[str]) -> None:
@@ -139,7 +130,7 @@ class FleetSource:
             *sensors.values(),
         ]
         return FleetReading(
-            stats=self._stats.find_newest(),
+            stats=self._stats.last,
             agents=agents,
             sensors=sensors,
             children=tuple(list_descendants(list_local_ids(one.usage for one in reports))),

@@ -12,14 +12,13 @@ from zensim.api.api_errors import Closed, Invalid, Timeout, Unsupported
 from zensim.api.collision_watch import CollisionWatch
 from zensim.api.entity_values import Collision
 from zensim.api.simulation import Simulation, read_world_keywords
-from zensim.api.world_access import Message, TopicFeed, WorldAccess, api_errors
+from zensim.api.world_access import Message, WorldAccess, api_errors
 from zensim.api.world_host import CLIENT, NO_RATES, WorldHost
 from zensim.api.world_pool import POOL
 from zensim.api.world_session import SavedOrders
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.api.world_view import WorldView
-from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
-from zensim.proto.memory_bus import MemorySubscription
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
@@ -29,6 +28,7 @@ from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.start_settings import StartSettings
 from zensim.sim_server.server_config import ServerConfig
+from zensim.spawner.client.topic_reader import TopicReader, read_as
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -43,24 +43,6 @@ IN_PROCESS = ServerSettings(
 )
 """Settings of a world in process, which keywords change."""
 NO_CLOCK_HINT = "use run_for(), step() or steps(), or zensim.launch(rtf=1) for a world that runs"
-
-
-class InProcessFeed(TopicFeed[Message]):
-    """Messages of one topic of this process."""
-
-    def __init__(self, subscription: MemorySubscription, kind: type[Message]) -> None:
-        self._subscription = subscription
-        self._kind = kind
-
-    def take(self, *, newest_only: bool = False) -> list[Message]:
-        """See `TopicFeed`."""
-        samples = self._subscription.take()
-        wanted = samples[-1:] if newest_only else samples
-        return [decode(self._kind, one.payload, one.encoding) for one in wanted]
-
-    def close(self) -> None:
-        """See `TopicFeed`."""
-        self._subscription.close()
 
 
 class InProcessAccess(WorldAccess):
@@ -156,10 +138,10 @@ class InProcessAccess(WorldAccess):
         del twists
         raise Unsupported("a world in process does not run by itself", hint=NO_CLOCK_HINT)
 
-    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
+    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicReader[Message]:
         """See `WorldAccess`."""
         self._require_open()
-        return InProcessFeed(self.server.subscribe(key, depth), kind)
+        return TopicReader(self.server.subscribe(key, depth), read_as(kind))
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
         """See `WorldAccess`."""

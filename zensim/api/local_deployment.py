@@ -15,10 +15,9 @@ import msgspec
 
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, ForkedProcess, NoServer
-from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
+from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.bus.session_files import require_files
 from zensim.proto.bus.zenoh_runtime import require_threads
-from zensim.proto.codec.message_codec import decode
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_endpoint_taken, to_client_endpoint
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.result_messages import ResultCode
@@ -46,6 +45,7 @@ from zensim.robot_agent.agent_config import AS_DESCRIBED, AgentConfig, AgentProc
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.topic_reader import TopicReader, read_topic
 from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
@@ -267,7 +267,7 @@ class LocalDeployment:
     ready_info: Info = field(default_factory=Info)
     ready_at_s: float = 0.0
     """Monotonic time when all programs were ready."""
-    clock: BusSubscription | None = None
+    clock: TopicReader[WorldClock] | None = None
     """Subscription to simulation time."""
     meter: SimTimeMeter = field(default_factory=lambda: SimTimeMeter(0, 0))
 
@@ -500,7 +500,8 @@ def _wait_for_agents(deployment: LocalDeployment, progress: LaunchProgress) -> N
 
 
 def _begin_measuring(deployment: LocalDeployment) -> None:
-    deployment.clock = deployment.bus.subscribe(CLOCK.key(deployment.config.network.world_name))
+    key = CLOCK.key(deployment.config.network.world_name)
+    deployment.clock = read_topic(deployment.bus, key, WorldClock)
     deployment.ready_info, deployment.ready_at_s = deployment.client.info(), time.monotonic()
     deployment.meter = SimTimeMeter(
         round(deployment.ready_info.sim_time_s * NANOSECONDS), deployment.ready_info.epoch
@@ -594,9 +595,8 @@ def supervise(
 
 
 def _read_clock(deployment: LocalDeployment) -> None:
-    sample = deployment.clock.newest() if deployment.clock is not None else None
-    if sample is not None:
-        now = decode(WorldClock, sample.payload, sample.encoding)
+    now = deployment.clock.newest() if deployment.clock is not None else None
+    if now is not None:
         deployment.meter.add(ns_from_time(now.clock), now.epoch)
 
 

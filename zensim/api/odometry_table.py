@@ -9,10 +9,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.world_access import TopicFeed
 from zensim.api.world_state import FloatArray
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.spawner.client.topic_reader import TopicReader
 
 IntArray: TypeAlias = npt.NDArray[np.intp]
 POSE_NUMBERS = 7
@@ -43,7 +43,7 @@ class OdometryTable:
     """Keeps the last odometry of each robot of a feed."""
 
     def __init__(
-        self, feed: TopicFeed[FleetOdometry], clock: Callable[[], float] = time.monotonic
+        self, feed: TopicReader[FleetOdometry], clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Take the feed of all agents.
 

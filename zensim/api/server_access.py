@@ -14,11 +14,11 @@ import msgspec
 from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
 from zensim.api.call_deadline import LEAST_S, limit
 from zensim.api.step_channel import StepChannel
-from zensim.api.world_access import Message, TopicFeed, WorldAccess
+from zensim.api.world_access import Message, WorldAccess
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.proto import keys
 from zensim.proto.bus.bus_errors import NoServer
-from zensim.proto.bus.bus_session import Bus, BusSubscription
+from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -48,6 +48,7 @@ from zensim.proto.service_catalog import (
 from zensim.proto.topic_catalog import SENSOR_STATS, SNAPSHOT, TWISTS
 from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.topic_reader import TopicReader, read_as, read_topic
 
 if TYPE_CHECKING:
     from zensim.api.recorder_process import RecorderProcess
@@ -76,31 +77,6 @@ DOES = {
     Operation.QUERY: "query",
     Operation.DECLARE_TOKEN: "declare the token",
 }
-
-
-class BusFeed(TopicFeed[Message]):
-    """Messages of a subscription; malformed ones are left out."""
-
-    def __init__(
-        self, subscription: BusSubscription, kind: type[Message], first: Sequence[Message]
-    ) -> None:
-        self._subscription = subscription
-        self._kind = kind
-        self._first = list(first)
-
-    def take(self, *, newest_only: bool = False) -> list[Message]:
-        """See `TopicFeed`."""
-        samples = self._subscription.take()
-        first, self._first = self._first, []
-        messages = first if not samples or not newest_only else []
-        for sample in samples[-1:] if newest_only else samples:
-            with suppress(MalformedPayload):
-                messages.append(decode(self._kind, sample.payload, sample.encoding))
-        return messages
-
-    def close(self) -> None:
-        """See `TopicFeed`."""
-        self._subscription.close()
 
 
 class ServerAccess(WorldAccess):
@@ -142,7 +118,7 @@ class ServerAccess(WorldAccess):
         self._publishers: dict[str, BusPublisher] = {}
         self._has_feeds = False
         """Whether topics were used, whose messages must precede the end of a step."""
-        self._states = bus.subscribe(SNAPSHOT.key(world))
+        self._states = read_topic(bus, SNAPSHOT.key(world), Snapshot)
         self._received_s = time.monotonic()
         self._replied_s = -math.inf
         """Wall time of the last state that came as a reply."""
@@ -291,11 +267,9 @@ class ServerAccess(WorldAccess):
         now_s = time.monotonic()
         if now_s - self._replied_s < FRESH_S:
             return self._state
-        if (sample := self._states.newest()) is not None:
+        if (snapshot := self._states.newest()) is not None:
             self._received_s = now_s
-            with suppress(MalformedPayload):
-                snapshot = decode(Snapshot, sample.payload, sample.encoding)
-                self._state = make_world_state(snapshot, self._state)
+            self._state = make_world_state(snapshot, self._state)
         elif now_s - self._received_s > SILENCE_S:
             self.refresh()
         return self._state
@@ -317,17 +291,17 @@ class ServerAccess(WorldAccess):
         for part in split_orders(twists):
             self.publish(TWISTS.key(self.world_name), part)
 
-    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
+    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicReader[Message]:
         """See `WorldAccess`."""
         self._require_open()
         self._require_role(Operation.SUBSCRIBE, key)
         self._has_feeds = True
-        subscription = self.bus.subscribe(key, depth)
+        subscription, read = self.bus.subscribe(key, depth), read_as(kind)
         first = []
         for sample in self.bus.get(key, limit(GET_TIMEOUT_S))[-1:]:
             with suppress(MalformedPayload):
-                first.append(decode(kind, sample.payload, sample.encoding))
-        return BusFeed(subscription, kind, first)
+                first.append(read(sample))
+        return TopicReader(subscription, read, first=first)
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
         """See `WorldAccess`."""

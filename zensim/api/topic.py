@@ -4,15 +4,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from typing import Generic
+from typing import TYPE_CHECKING, Generic
 
 import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound, Timeout
 from zensim.api.call_deadline import limited
-from zensim.api.world_access import Message, TopicFeed, WorldAccess
+from zensim.api.world_access import Message, WorldAccess
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+
+if TYPE_CHECKING:
+    from zensim.spawner.client.topic_reader import TopicReader
 
 FEED_DEPTH, LARGE_FEED_DEPTH = 256, 8
 """Messages that wait to be taken; images and clouds are large."""
@@ -90,7 +93,7 @@ class Topic(Generic[Message]):
         self._on_subscribed = on_subscribed
         self._access = access
         self._dispatcher = dispatcher
-        self._feed: TopicFeed[Message] | None = None
+        self._feed: TopicReader[Message] | None = None
         self._lock = threading.RLock()
         self._latest: Message | None = None
         self._unread: deque[Message] = deque(maxlen=FEED_DEPTH)

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -15,23 +15,12 @@ from zensim.proto.bounded_files import FileTooLarge, NotRegularFile
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.service_catalog import Request, Response, Service
+from zensim.spawner.client.topic_reader import TopicReader
 
 if TYPE_CHECKING:
     from zensim.api.world_recorder import WorldRecorder
 
 Message = TypeVar("Message", bound=msgspec.Struct)
-
-
-class TopicFeed(ABC, Generic[Message]):
-    """Messages of one topic since the last call."""
-
-    @abstractmethod
-    def take(self, *, newest_only: bool = False) -> list[Message]:
-        """Take the messages received, oldest first; or the newest one only."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End the subscription."""
 
 
 class WorldAccess(ABC):
@@ -97,7 +86,7 @@ class WorldAccess(ABC):
         """Send orders to a world that runs by itself."""
 
     @abstractmethod
-    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicFeed[Message]:
+    def subscribe(self, key: str, kind: type[Message], depth: int) -> TopicReader[Message]:
         """Subscribe to a topic, keeping the newest `depth` messages.
 
         Raises:

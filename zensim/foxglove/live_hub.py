@@ -15,14 +15,15 @@ from zensim.foxglove.topic_sources import TimedPayload, TopicSource, make_source
 from zensim.foxglove.world_control import FAILURES, DriverChannel, WorldControl
 from zensim.foxglove.world_topics import WorldTopics
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import ns_from_time
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.topic_catalog import CLOCK
+from zensim.spawner.client.topic_reader import read_topic
 
 if TYPE_CHECKING:
-    from zensim.proto.bus.bus_session import BusSubscription
+    from zensim.spawner.client.topic_reader import TopicReader
 
 NAME: Final = "zensim"
 CONTROL_IS_OFF: Final = "control is off; start 'zensim foxglove' with --allow-control"
@@ -170,7 +171,7 @@ class LiveHub:
         self._next_number = 1
         self._sources: dict[int, TopicSource] = {}
         self._subscribers: dict[int, dict[HubClient, int]] = {}
-        self._clock: BusSubscription | None = None
+        self._clock: TopicReader[WorldClock] | None = None
         self._now_ns = 0
         self._unfetched: dict[int, Callable[[], None]] = {}
         """Queries for latched messages that wait, by number of the topic."""
@@ -321,12 +322,8 @@ class LiveHub:
         self._topics, self._numbers = {}, {}
 
     def _take_clock(self) -> None:
-        sample = self._clock.newest() if self._clock is not None else None
-        if sample is None:
-            return
-        try:
-            clock = decode(WorldClock, sample.payload, sample.encoding)
-        except MalformedPayload:
+        clock = self._clock.newest() if self._clock is not None else None
+        if clock is None:
             return
         now_ns = max(0, ns_from_time(clock.clock))
         if now_ns != self._now_ns:
@@ -380,7 +377,7 @@ class LiveHub:
         try:
             source = known or make_source(self._bus, topic, self._watch)
             if self._clock is None:
-                self._clock = self._bus.subscribe(CLOCK.key(self._world))
+                self._clock = read_topic(self._bus, CLOCK.key(self._world), WorldClock)
         except FAILURES as error:
             return f"subscription {subscription} is refused: {_to_text(error)}"
         client.subscriptions[subscription] = number

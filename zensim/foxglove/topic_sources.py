@@ -26,6 +26,7 @@ from zensim.proto.messages.standard_messages import (
     TwistStamped,
     time_from_ns,
 )
+from zensim.spawner.client.topic_reader import WantedTopics, read_topic
 
 if TYPE_CHECKING:
     from zensim.proto.bus.bus_session import BusSubscription
@@ -157,9 +158,11 @@ class RobotTransforms:
     """Transforms on the topic that robots share, and on those of robots that do not."""
 
     def __init__(self, bus: Bus, suffix: str, facts: WorldFacts) -> None:
-        self._bus, self._suffix, self._facts = bus, suffix, facts
+        self._suffix, self._facts = suffix, facts
         self._shared = bus.subscribe(suffix, SHARED_DEPTH)
-        self._own: dict[str, BusSubscription] = {}
+        self._own: WantedTopics[str, BusSubscription] = WantedTopics(
+            lambda key: bus.subscribe(key, DEPTH)
+        )
         self._followed: frozenset[str] = frozenset()
         self._prefixed: dict[tuple[str, bytes], bytes] = {}
 
@@ -167,7 +170,7 @@ class RobotTransforms:
         """Take new transforms, with frames of the whole world."""
         self._follow()
         found = collect_transforms(self._shared.take_payloads())
-        for namespace, subscription in self._own.items():
+        for namespace, subscription in self._own:
             if payloads := subscription.take_payloads():
                 found += self.read(namespace, payloads)
         return found
@@ -186,8 +189,8 @@ class RobotTransforms:
 
     def close(self) -> None:
         """End the subscriptions."""
-        for subscription in (self._shared, *self._own.values()):
-            subscription.close()
+        self._shared.close()
+        self._own.close()
 
     def _follow(self) -> None:
         """Subscribe to exactly the robots that do not share the topic."""
@@ -195,10 +198,7 @@ class RobotTransforms:
         if wanted is self._followed:
             return
         self._followed = wanted
-        for gone in self._own.keys() - wanted:
-            self._own.pop(gone).close()
-        for namespace in wanted - self._own.keys():
-            self._own[namespace] = self._bus.subscribe(f"{namespace}/{self._suffix}", DEPTH)
+        self._own.follow({one: f"{one}/{self._suffix}" for one in wanted})
 
 
 class TransformSource:
@@ -274,20 +274,12 @@ class JsonSource:
     """Messages of the world as JSON."""
 
     def __init__(self, bus: Bus, topic: LiveTopic) -> None:
-        self._kind = topic.kind
-        self._subscriptions = [bus.subscribe(key, DEPTH) for key in topic.keys]
+        self._readers = [read_topic(bus, key, topic.kind, DEPTH) for key in topic.keys]
 
     def take(self, now_ns: int) -> list[TimedPayload]:
         """See `TopicSource`."""
-        found = []
-        for subscription in self._subscriptions:
-            for payload in subscription.take_payloads():
-                try:
-                    message = decode(self._kind, payload)
-                except MalformedPayload:
-                    continue
-                found.append((now_ns, encode(message, Format.JSON)))
-        return found
+        messages = (message for one in self._readers for message in one.take())
+        return [(now_ns, encode(message, Format.JSON)) for message in messages]
 
     def take_latched(self, now_ns: int) -> list[TimedPayload]:  # noqa: ARG002
         """See `TopicSource`."""
@@ -295,8 +287,8 @@ class JsonSource:
 
     def close(self) -> None:
         """See `TopicSource`."""
-        for subscription in self._subscriptions:
-            subscription.close()
+        for reader in self._readers:
+            reader.close()
 
 
 class ClockSource:

@@ -44,6 +44,7 @@ from zensim.recording.fleet_robots import (
 )
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.topic_reader import TopicReader, read_as
 
 if TYPE_CHECKING:
     from zensim.proto.bus.bus_session import Bus
@@ -364,9 +365,10 @@ class FleetMessages:
             selection: Which topics are taken.
         """
         self._network, self._world, self._selection = network, world, selection
-        self._subscription = network.subscribe_copying(
+        subscription = network.subscribe_copying(
             FLEET_ODOMETRY.key(world, "*"), DEPTH, MAX_WAITING_BYTES
         )
+        self._odometry = TopicReader(subscription, read_as(FleetOdometry))
         self._epoch: int | None = None
         self._early: deque[FleetOdometry] = deque(maxlen=MAX_EARLY)
         """Messages of other epochs than that of the clock."""
@@ -389,7 +391,7 @@ class FleetMessages:
 
     def close(self) -> None:
         """End the subscription."""
-        self._subscription.close()
+        self._odometry.close()
 
     def collect(self, epoch: int) -> None:
         """See `RobotMessageSource`."""
@@ -398,13 +400,11 @@ class FleetMessages:
         now_s = time.monotonic()
         if epoch != self._epoch:
             self._begin_epoch(epoch, now_s)
-        for sample in self._subscription.take():
-            with suppress(MalformedPayload):
-                message = decode(FleetOdometry, sample.payload, sample.encoding)
-                if message.epoch == epoch:
-                    self._table.add(message, now_s)
-                else:
-                    self._early.append(message)
+        for message in self._odometry.take():
+            if message.epoch == epoch:
+                self._table.add(message, now_s)
+            else:
+                self._early.append(message)
 
     def _begin_epoch(self, epoch: int, now_s: float) -> None:
         self._epoch = epoch

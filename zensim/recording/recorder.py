@@ -40,6 +40,7 @@ from zensim.recording.topic_selection import (
     make_ros_key,
     name_requests_topic,
 )
+from zensim.spawner.client.topic_reader import TopicReader, read_as
 
 RING_DEPTH: Final = 8192
 """Messages of one key expression between two takes: 1.6 s of a hundred robots. A longer queue
@@ -202,8 +203,12 @@ class Recorder:
         self._clock_topic = make_clock_topic() if self._accepts_clock() else None
         self._inputs_key = INPUTS.key(settings.world)
         self._requests_topic = self._find_requests_topic()
-        self._clock = bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH)
-        self._events = bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH)
+        self._clock = TopicReader(
+            bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH), read_clock
+        )
+        self._events = TopicReader(
+            bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH), read_as(Event)
+        )
         self._keys = list_keys(chosen, settings.world, settings.domain)
         self._fleet = self._make_fleet(make_fleet) if make_fleet is not None else None
         self._subscriptions = [self._subscribe(key) for key in self._keys]
@@ -478,11 +483,7 @@ class Recorder:
     def _take_clock(self, received_ns: int) -> list[RecordedMessage]:
         """Read the clock; return its messages, if they are recorded."""
         batch: list[RecordedMessage] = []
-        for sample in self._clock.take():
-            try:
-                clock = decode(WorldClock, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
+        for clock, sample in self._clock.take():
             now_ns = max(0, ns_from_time(clock.clock))
             log_ns = received_ns if self._settings.time_base == "wall" else now_ns
             publish_ns = log_ns if self._settings.is_reproducible else received_ns
@@ -508,15 +509,13 @@ class Recorder:
         return batch
 
     def _take_events(self) -> None:
-        samples = self._events.take()
-        for sample in samples:
-            with suppress(MalformedPayload):
-                event = decode(Event, sample.payload, sample.encoding)
-                self._has_arrivals |= event.kind in ARRIVALS
-                self._sink.note_event(event)
-                if self._fleet is not None:
-                    self._fleet.note_event(event)
-        if self._fleet is not None and len(samples) >= EVENTS_DEPTH:
+        events = self._events.take()
+        for event in events:
+            self._has_arrivals |= event.kind in ARRIVALS
+            self._sink.note_event(event)
+            if self._fleet is not None:
+                self._fleet.note_event(event)
+        if self._fleet is not None and len(events) >= EVENTS_DEPTH:
             self._fleet.clear()  # events were lost, as of robots that were deleted
 
     def _read_first_clock(self) -> tuple[int, int]:
@@ -587,6 +586,11 @@ class Recorder:
             found = self._bus.subscribe_newest(key, RING_DEPTH, keeps_all)
             return RecordedKeys(key, found, found, is_of_ros)
         return RecordedKeys(key, self._bus.subscribe(key, RING_DEPTH), None, is_of_ros)
+
+
+def read_clock(sample: Sample) -> tuple[WorldClock, Sample]:
+    """Read a message of the clock, with its bytes; raises MalformedPayload."""
+    return decode(WorldClock, sample.payload, sample.encoding), sample
 
 
 def is_of_robot(sample: Sample) -> bool:

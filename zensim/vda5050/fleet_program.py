@@ -13,12 +13,13 @@ import numpy as np
 
 from zensim.proto import keys
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, TwistCommands, split_orders
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.topic_catalog import SNAPSHOT, TWISTS
 from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.topic_reader import read_topic
 from zensim.spawner.client.world_follower import FAILURES, WorldFollower
 from zensim.vda5050 import order_errors
 from zensim.vda5050.broker_links import BrokerLinks
@@ -84,7 +85,7 @@ class FleetProgram:
         world, settings = options.world, options.settings
         self._client = ServiceClient(bus, world, CALL_TIMEOUT_S)
         self._follower = WorldFollower(bus, world)
-        self._snapshots = bus.subscribe(SNAPSHOT.key(world), SNAPSHOT_DEPTH)
+        self._snapshots = read_topic(bus, SNAPSHOT.key(world), Snapshot, SNAPSHOT_DEPTH)
         self._twists = bus.advertise(TWISTS.key(world), TWISTS.encoding)
         self._name = f"vda5050-{uuid.uuid4().hex[:12]}"
         self._token = bus.token(keys.alive_client(world, self._name))
@@ -96,7 +97,6 @@ class FleetProgram:
         self._served: dict[str, _Served] = {}
         self._names: dict[str, str] = {}
         """Names of robots by serial number."""
-        self._heard_s = time.monotonic()
         self._due: dict[str, tuple[float, float, float]] = {}
         """Wall time of earliest and latest next state and of the next visualization, by robot."""
 
@@ -134,21 +134,18 @@ class FleetProgram:
             vehicle.take_instant_actions(payload, pose)
 
     def _take_snapshot(self) -> None:
-        sample = self._snapshots.newest()
-        now_s = time.monotonic()
-        if sample is None:
-            if now_s - self._heard_s > SILENCE_S:
+        snapshot = self._snapshots.newest()
+        if snapshot is None:
+            if self._snapshots.is_silent(SILENCE_S):
                 for vehicle in self._fleet:
                     text = f"the server of world '{self._options.world}' is silent"
                     vehicle.add_error(VehicleError(order_errors.LOST, text))
             return
         try:
-            snapshot = decode(Snapshot, sample.payload, sample.encoding)
             base = np.frombuffer(snapshot.base, dtype="<f8").reshape(-1, STATE_COLUMNS)
-        except (MalformedPayload, ValueError):
+        except ValueError:
             return
         if len(base) == len(snapshot.names):
-            self._heard_s = now_s
             self._step(snapshot, base)
 
     def _step(self, snapshot: Snapshot, base: FloatArray) -> None:

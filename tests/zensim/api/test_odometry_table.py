@@ -1,28 +1,31 @@
 """The newest odometry of each robot from the messages of several agents."""
 
+from typing import Final
+
 import numpy as np
 import pytest
 
-from tests.fakes import ManualClock
-from zensim.api.odometry_table import MAX_KNOWN_NAMES, OLD_EPOCH_S, OdometryTable
-from zensim.api.world_access import TopicFeed
+from tests.fakes import ManualClock, MemoryBus
+from zensim.api.odometry_table import MAX_KNOWN_NAMES, OLD_EPOCH_S, TABLE_DEPTH, OdometryTable
+from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.agent_messages import FleetOdometry
+from zensim.proto.topic_catalog import FLEET_ODOMETRY
+from zensim.spawner.client.topic_reader import read_topic
+
+KEY: Final = FLEET_ODOMETRY.key("default", "pool")
 
 
-class ListedFeed(TopicFeed[FleetOdometry]):
-    """Messages of a list."""
+class Feed:
+    """Odometry of an agent on a network in memory."""
 
     def __init__(self) -> None:
-        self.messages: list[FleetOdometry] = []
-        self.is_closed = False
+        self.bus = MemoryBus()
+        self.reader = read_topic(self.bus, KEY, FleetOdometry, TABLE_DEPTH)
 
-    def take(self, *, newest_only: bool = False) -> list[FleetOdometry]:
-        del newest_only
-        taken, self.messages = self.messages, []
-        return taken
-
-    def close(self) -> None:
-        self.is_closed = True
+    def put(self, *messages: FleetOdometry) -> None:
+        """Publish messages."""
+        for message in messages:
+            self.bus.put_message(KEY, message, Format.MSGPACK)
 
 
 def a_message(second: int, *entities: str, epoch: int = 0) -> FleetOdometry:
@@ -31,9 +34,9 @@ def a_message(second: int, *entities: str, epoch: int = 0) -> FleetOdometry:
 
 
 def test_each_robot_has_its_newest_row() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
-    feed.messages = [a_message(1, "a", "b"), a_message(2, "c"), a_message(3, "b")]
+    feed = Feed()
+    table = OdometryTable(feed.reader)
+    feed.put(a_message(1, "a", "b"), a_message(2, "c"), a_message(3, "b"))
 
     rows = table.read(["b", "a", "nobody", "c", "b"])
 
@@ -43,67 +46,67 @@ def test_each_robot_has_its_newest_row() -> None:
 
 
 def test_robots_of_a_former_epoch_are_gone() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
-    feed.messages = [a_message(5, "a", "b")]
+    feed = Feed()
+    table = OdometryTable(feed.reader)
+    feed.put(a_message(5, "a", "b"))
     table.read([])
-    feed.messages = [a_message(1, "b", epoch=1)]
+    feed.put(a_message(1, "b", epoch=1))
 
     assert table.read(["a", "b"]).times == pytest.approx([np.nan, 1.0], nan_ok=True)
 
 
 def test_late_message_of_a_former_epoch_is_left_out() -> None:
-    feed, clock = ListedFeed(), ManualClock(50.0)
-    table = OdometryTable(feed, clock)
-    feed.messages = [
+    feed, clock = Feed(), ManualClock(50.0)
+    table = OdometryTable(feed.reader, clock)
+    feed.put(
         a_message(5, "a", "b"),
         a_message(1, "a", epoch=1),
         a_message(6, "b"),
         a_message(2, "b", epoch=1),
-    ]
+    )
 
     assert table.read(["a", "b"]).times.tolist() == [1.0, 2.0]
 
 
 def test_new_server_begins_with_a_lower_epoch() -> None:
-    feed, clock = ListedFeed(), ManualClock(50.0)
-    table = OdometryTable(feed, clock)
-    feed.messages = [a_message(5, "a", epoch=3)]
+    feed, clock = Feed(), ManualClock(50.0)
+    table = OdometryTable(feed.reader, clock)
+    feed.put(a_message(5, "a", epoch=3))
     table.read([])
 
     clock.sleep(OLD_EPOCH_S)
-    feed.messages = [a_message(1, "b")]
+    feed.put(a_message(1, "b"))
 
     assert table.read(["a", "b"]).times == pytest.approx([np.nan, 1.0], nan_ok=True)
 
 
 def test_rows_are_kept_while_robots_come() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
+    feed = Feed()
+    table = OdometryTable(feed.reader)
     names = [f"r{number}" for number in range(40)]
     for second, name in enumerate(names, 1):
-        feed.messages = [a_message(second, name)]
+        feed.put(a_message(second, name))
         table.read([])
 
     assert table.read(names).times.tolist() == list(range(1, 41))
 
 
 def test_message_whose_arrays_do_not_fit_is_left_out() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
-    feed.messages = [FleetOdometry(0, 1, 1, ("a", "b"), b"\0" * 104)]
+    feed = Feed()
+    table = OdometryTable(feed.reader)
+    feed.put(FleetOdometry(0, 1, 1, ("a", "b"), b"\0" * 104))
 
     assert np.isnan(table.read(["a"]).times).all()
     table.close()
-    assert feed.is_closed
+    assert not feed.bus.has_subscriber(KEY)
 
 
 def test_names_that_are_read_again_are_found_when_robots_came_or_time_began_again() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
+    feed = Feed()
+    table = OdometryTable(feed.reader)
     times = []
     for message in (a_message(1, "a"), a_message(2, "b"), a_message(3, "b", "a", epoch=1)):
-        feed.messages = [message]
+        feed.put(message)
         times.append(table.read(["a", "b"]).times.tolist())
 
     assert times == [
@@ -114,11 +117,11 @@ def test_names_that_are_read_again_are_found_when_robots_came_or_time_began_agai
 
 
 def test_equal_names_of_another_epoch_have_the_rows_of_that_epoch() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
-    feed.messages = [a_message(1, "a"), a_message(2, "b", "c")]
+    feed = Feed()
+    table = OdometryTable(feed.reader)
+    feed.put(a_message(1, "a"), a_message(2, "b", "c"))
     table.read([])
-    feed.messages = [a_message(3, "b", "c", epoch=1), a_message(4, "a", epoch=1)]
+    feed.put(a_message(3, "b", "c", epoch=1), a_message(4, "a", epoch=1))
 
     rows = table.read(["a", "b", "c"])
 
@@ -127,14 +130,14 @@ def test_equal_names_of_another_epoch_have_the_rows_of_that_epoch() -> None:
 
 
 def test_rows_stay_when_messages_have_ever_other_names() -> None:
-    feed = ListedFeed()
-    table = OdometryTable(feed)
+    feed = Feed()
+    table = OdometryTable(feed.reader)
     names = [f"robot{number}" for number in range(MAX_KNOWN_NAMES)]
-    feed.messages = [
+    feed.put(
         *(a_message(1 + number, *names[number : number + 2]) for number in range(len(names))),
         a_message(1000, *names[:2]),
         a_message(2000, *reversed(names[:2])),
-    ]
+    )
 
     rows = table.read(names)
 
