@@ -17,7 +17,7 @@ from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Closable, Sample, Subscription, TokenWatch
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.service_catalog import SIMULATE_STEPS
-from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS, TF
+from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS, TF, TopicSpec
 from zensim.proto.topic_endpoints import to_plain_sample
 from zensim.recording.fleet_robots import FleetSelection, RobotMessageSource, is_of_many
 from zensim.recording.recorded_topics import (
@@ -203,12 +203,8 @@ class Recorder:
         self._clock_topic = make_clock_topic() if self._accepts_clock() else None
         self._inputs_key = INPUTS.key(settings.world)
         self._requests_topic = self._find_requests_topic()
-        self._clock = TopicReader(
-            bus.subscribe(CLOCK.key(settings.world), EVENTS_DEPTH), read_clock
-        )
-        self._events = TopicReader(
-            bus.subscribe(EVENTS.key(settings.world), EVENTS_DEPTH), read_as(Event)
-        )
+        self._clock = TopicReader(self._follow(CLOCK), read_clock)
+        self._events = TopicReader(self._follow(EVENTS), read_as(Event))
         self._keys = list_keys(chosen, settings.world, settings.domain)
         self._fleet = self._make_fleet(make_fleet) if make_fleet is not None else None
         self._subscriptions = [self._subscribe(key) for key in self._keys]
@@ -579,6 +575,9 @@ class Recorder:
         self._take_one(one, time.time_ns(), batch, is_due=True)
         self._hand_over(batch)
         one.subscription.close()
+
+    def _follow(self, topic: TopicSpec) -> Subscription:
+        return self._bus.subscribe(topic.key(self._settings.world), EVENTS_DEPTH)
 
     def _subscribe(self, key: str) -> RecordedKeys:
         is_of_ros = key.endswith(f"/{ANY_ROS_TYPE}")
