@@ -69,7 +69,7 @@ packages: # Debian packages that the tests use
 # wait, so there is one worker more than cores; tests/conftest.py mixes them with those that compute.
 # Up to five that fail run again, alone, and are named at the end: CONTRIBUTING.md.
 WORKERS ?= $$(($$(getconf _NPROCESSORS_ONLN) + 1))
-PYTEST := $(BIN)/python .ci/run_tests.py --workers $(WORKERS)
+PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Without the tests that other targets run.
 HERE := not release and not short_form and not long_form and not interop and not images
@@ -96,7 +96,7 @@ long: setup packages ## further cases of tests of `make test` and `make browser`
 	$(PYTEST) -m long_form
 
 short: setup packages ## short forms of `make bench`, `make chaos` and `make fuzz`
-	$(PYTEST) --together test -m short_form
+	$(PYTEST) --dist load --maxschedchunk 1 -m short_form
 
 lint: setup ## style of the code, and dead code
 	$(BIN)/ruff check

@@ -1,9 +1,8 @@
 """Run pytest, and run again, once and alone, what failed: at most five tests of a whole run.
 
-Usage: run_tests.py [OPTION OF PYTEST...], without paths, in the root of the repository;
-`--workers N` runs the tests in N forked processes: forked_workers.py. What passes alone is named at
-the end, and in build/passed_alone.txt: it depends on load or on other tests, which is a defect to
-mend. The exit status is that of pytest, and 1 if a test failed twice.
+Usage: run_tests.py [OPTION OF PYTEST...], without paths, in the root of the repository. What passes
+alone is named at the end, and in build/passed_alone.txt: it depends on load or on other tests,
+which is a defect to mend. The exit status is that of pytest, and 1 if a test failed twice.
 """
 
 from __future__ import annotations
@@ -17,12 +16,11 @@ from pathlib import Path
 from typing import TypedDict
 
 import pytest
-from forked_workers import ForkedWorkers
 
 MOST_AGAIN = 5
 """More failures have a common cause, which is not load."""
-ALONE = ("--workers", "0")
-"""In one process, one after another; the last `--workers` counts."""
+ALONE = ("-n", "0")
+"""In one process, one after another; the last `-n` counts."""
 PASSED_ALONE = Path("build/passed_alone.txt")
 DURATIONS = Path("build/test_durations.json")
 """Wall and processor seconds of each test when it last ran, set-up and clean-up included."""
@@ -98,7 +96,7 @@ class Recorder:
 def record(target: Path, arguments: list[str]) -> int:
     """Run pytest in this process, and write its outcome to a file."""
     recorder = Recorder()
-    status = int(pytest.main(arguments, plugins=[ForkedWorkers(), recorder]))
+    status = int(pytest.main(arguments, plugins=[recorder]))
     target.write_text(json.dumps(recorder.outcome(status)))
     return status
 

@@ -135,7 +135,7 @@ REPORTED_CPU_S = [find_cpu_time_s()]
 
 
 def pytest_runtest_logstart() -> None:
-    """Leave out what passed between two tests; a worker is a fork, whose time begins anew."""
+    """Leave out what passed between two tests."""
     REPORTED_CPU_S[:] = [find_cpu_time_s()]
 
 

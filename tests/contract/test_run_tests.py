@@ -11,7 +11,7 @@ import pytest
 from tests.contract.repository import ROOT
 
 SCRIPT = ROOT / ".ci" / "run_tests.py"
-WORKERS = ("--workers", "2")
+WORKERS = ("-n", "2", "--dist", "loadfile")
 PASSES = "def test_passes(): pass\n"
 FAILS_ONCE = """
 from pathlib import Path
@@ -50,7 +50,7 @@ def run_tests(
     folder: Path, files: dict[str, str], *options: str, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
     """Run a suite of its own, without what this run of pytest set."""
-    (folder / "pytest.ini").write_text("[pytest]\naddopts = -p no:cacheprovider\n")
+    (folder / "pytest.ini").write_text("[pytest]\naddopts = -p xdist -p no:cacheprovider\n")
     for name, text in {"test_a.py": PASSES, **files}.items():
         (folder / name).write_text(text)
     return subprocess.run(
@@ -155,36 +155,6 @@ def test_run_keeps_the_seconds_of_tests_and_names_the_slowest(
     assert all(len(seconds) == 2 for seconds in kept.values())
     assert done.stdout.count("test_b.py::test_passes\n") == 1, done.stdout
     assert "test_a.py" not in done.stdout.partition("slowest")[2]
-
-
-def test_workers_run_the_tests_of_a_file_in_one_process_and_import_none_anew(
-    tmp_path: Path,
-) -> None:
-    notes = """
-import os
-from pathlib import Path
-with Path("imported").open("a") as file:
-    file.write(f"{os.getpid()}\\n")
-def test_a(tmp_path): Path(f"{os.getpid()} {tmp_path}".replace("/", "!")).touch()
-def test_b(tmp_path): test_a(tmp_path)
-"""
-    done = run_tests(tmp_path, {"test_b.py": notes, "test_c.py": notes}, *WORKERS)
-
-    assert done.returncode == 0, done.stdout
-    (parent, other) = (tmp_path / "imported").read_text().split()
-    runs = [path.name.split() for path in tmp_path.glob("*!*")]
-    assert parent == other
-    assert len({path for _, path in runs}) == len(runs) == 4
-    assert 1 <= len({pid for pid, _ in runs} - {parent}) <= 2
-
-
-def test_run_ends_after_the_failures_that_its_options_allow(tmp_path: Path) -> None:
-    many = "import pytest\n@pytest.mark.parametrize('n', range(50))\ndef test_n(n): assert False\n"
-
-    done = run_tests(tmp_path, {"test_b.py": many}, "--maxfail", "2", *WORKERS)
-
-    assert done.returncode == pytest.ExitCode.TESTS_FAILED
-    assert "stopping after 2 failures" in done.stdout
 
 
 @pytest.mark.parametrize(("limit_s", "status"), [("2.5", 1), ("60", 0)])
