@@ -282,6 +282,8 @@ def suppress_output() -> Iterator[None]:
 with suppress_output():
     import pybullet
 
+MAX_LOOKED_UP = 8
+"""Tuples of bodies whose numbers of Bullet are kept."""
 MAX_PARTS = 128
 """Bullet returns the states of a body's first 127 joints only."""
 
@@ -528,10 +530,11 @@ class PyBulletEngine(Engine):
         )
         # Bullet gives bodies numbers of its own; all that is private here uses those.
         self._unique_ids, self._numbers_of = dict[int, int](), dict[int, int]()
+        # By identity: tuples of bodies that were looked up, and their numbers of Bullet.
+        self._found: dict[int, tuple[Sequence[int], tuple[int, ...]]] = {}
         self._bodies: dict[int, BulletBody] = {}
         self._recipe: BodyRecipe | None = None  # of the last model
-        self._pool = BodyPool(awake)
-        self._blueprints = _make_blueprint_cache(config)
+        self._pool, self._blueprints = BodyPool(awake), _make_blueprint_cache(config)
         self._twists: dict[int, list[float]] = {}
         self._resisting: set[int] = set()
         self._loads: dict[int, Sequence[LinkForce]] = {}
@@ -608,6 +611,7 @@ class PyBulletEngine(Engine):
         """See `Engine.insert`; a moving body needs a pooled body that is awake."""
         made = self._make_body(model, base)
         self._unique_ids[body], self._numbers_of[made] = made, body
+        self._found.clear()
 
     def _make_body(self, model: Model, base: FloatArray) -> int:
         recipe = self._find_recipe(model)
@@ -629,6 +633,7 @@ class PyBulletEngine(Engine):
         """See `Engine.discard`; the body goes to the pool if there is room."""
         body = self._unique_ids.pop(body)
         del self._numbers_of[body]
+        self._found.clear()
         self._set_rolling_resistance(body, is_held=False)
         if body in self._recovering:
             self._set_recovery(body, RIGID_ERP)
@@ -1310,7 +1315,15 @@ class PyBulletEngine(Engine):
         return read_base_states(bodies, self._client, read_pose, read_velocity)
 
     def _find_unique_ids(self, bodies: Sequence[int]) -> tuple[int, ...]:
-        return tuple(map(self._unique_ids.__getitem__, bodies))
+        """Steps ask for the same tuples; equal ones would lose what `ComFrames` keeps of them."""
+        if (known := self._found.get(id(bodies))) is not None:
+            return known[1]
+        found = tuple(map(self._unique_ids.__getitem__, bodies))
+        if isinstance(bodies, tuple):
+            if len(self._found) >= MAX_LOOKED_UP:
+                self._found.clear()
+            self._found[id(bodies)] = bodies, found
+        return found
 
     def _find_width(self, body: int) -> int:
         return self._bodies[body].actuation.width
