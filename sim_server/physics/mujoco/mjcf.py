@@ -1,5 +1,6 @@
 """MJCF text of a world with slots, and the layout of its compiled model (ADR 38)."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -46,6 +47,10 @@ SUPPORTED_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 MAX_PARTS = 256
 CARRIED_MOMENT_SHARE = 0.03
 """Least moment of a link about its joint, over the greatest moment of the links that it carries."""
+BALANCED_MOMENT_SHARE = 0.3
+"""The same where all that it carries has its centre of mass at the joint, as casters have."""
+BALANCED_ARM_SHARE = 0.1
+"""Greatest distance of such a centre from the joint, over the radius of gyration."""
 FEATHER_DAMPING_HZ = 1.0
 """Damping of the joint of a link below that share, over the same greatest moment."""
 WHEEL_STIFFNESS_PER_KG = 98100.0
@@ -241,14 +246,31 @@ def find_joint_inertia(archetype: Archetype, link: int, axis: Vec3) -> tuple[flo
     The armature is what the link's moment about the joint lacks of the least one. That of a driven
     wheel is what its motor reflects. That of a link without weight, as in a ball caster of three
     joints, is a share of what turns beyond it: without it, and some damping, the joints diverge
-    where two of their axes meet.
+    where two of their axes meet. A caster that rolls needs a greater share than a pendulum, whose
+    period it would change.
     """
     part = archetype.link_parts[link]
     carried = max((_find_moment(archetype, child) for child in archetype.children(link)), default=0)
     own = _find_moment_about(part, axis)
     is_feather = own < CARRIED_MOMENT_SHARE * carried
-    least = max(part.reflected_inertia, CARRIED_MOMENT_SHARE * carried)
+    is_rolling = is_feather and all(
+        _is_balanced(archetype, one) for one in archetype.children(link)
+    )
+    share = BALANCED_MOMENT_SHARE if is_rolling else CARRIED_MOMENT_SHARE
+    least = max(part.reflected_inertia, share * carried)
     return max(0.0, least - own), FEATHER_DAMPING_HZ * carried * is_feather
+
+
+def _is_balanced(archetype: Archetype, link: int) -> bool:
+    """Find whether a link and those that turn beyond it have their centres of mass at its joint."""
+    part = archetype.link_parts[link]
+    reach = BALANCED_ARM_SHARE * math.sqrt(
+        max(*part.inertia, MIN_INERTIA) / max(part.mass_kg, MIN_MASS_KG)
+    )
+    return math.hypot(*part.com) <= reach and all(
+        not any(archetype.link_parts[one].origin.position) and _is_balanced(archetype, one)
+        for one in archetype.children(link)
+    )
 
 
 def _find_moment_about(part: RigidPart, axis: Vec3) -> float:

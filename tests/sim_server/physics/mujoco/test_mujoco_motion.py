@@ -156,14 +156,18 @@ def test_armature_completes_the_least_moment_of_a_driven_wheel() -> None:
     assert armature_of(an_arm("continuous")) == 0.0
 
 
-def a_cart_on_a_ball_caster() -> Model:
+def a_cart_on_a_ball_caster(caster_kg: float = 0.005) -> Model:
     """A cart whose back caster turns about three axes; the links between them have no weight."""
     cart = a_cart()
     base, *wheels = cart.links
     deck, _, back = base.collisions
     ball = replace(back, size=(0.005, 0.0, 0.0), origin=Origin(), friction=1.0)
     heavier = replace(base.inertial, com_in_link=(-0.02, 0.0, 0.0))
-    ends = [Link("pitch", Inertial()), Link("yaw", Inertial()), Link("roll", a_body(0.005, 1e-5))]
+    ends = [
+        Link("pitch", Inertial()),
+        Link("yaw", Inertial()),
+        Link("roll", a_body(caster_kg, 1e-5)),
+    ]
     ends[-1] = replace(ends[-1], collisions=(ball,))
     names = ("base", "pitch", "yaw", "roll")
     axes = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
@@ -188,6 +192,36 @@ def test_ball_caster_of_three_joints_rolls(linear: float, angular: float) -> Non
     engine.close()
     assert np.hypot(*base[7:9]) == pytest.approx(linear, rel=0.02, abs=0.003)
     assert base[12] == pytest.approx(angular, rel=0.02, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ball_caster_rolls_on_from_every_angle(seed: int) -> None:
+    engine, random = MujocoEngine(CONFIG), np.random.default_rng(seed)
+    body = engine.add(a_cart_on_a_ball_caster(0.001), on_ground())
+    for linear, angular in [(0.2, 0.0), (0.0, 0.5), (0.0, -0.5)] * 4:
+        speeds = np.array([linear - 0.15 * angular, linear + 0.15 * angular]) / WHEEL_RADIUS_M
+        engine.command([body], speeds)
+        advance(engine, round(random.uniform(0.25, 2.0) * SECOND))
+
+        base = engine.read([body]).base[0]
+        assert np.hypot(*base[7:9]) == pytest.approx(linear, abs=0.003)
+        assert base[12] == pytest.approx(angular, abs=0.01)
+    engine.close()
+
+
+@pytest.mark.parametrize(("com_m", "share"), [(0.0, 0.3), (0.1, 0.03)])
+def test_armature_of_weightless_links_is_greater_for_casters_than_for_pendulums(
+    com_m: float, share: float
+) -> None:
+    model = a_cart_on_a_ball_caster()
+    bob = replace(model.links[-1].inertial, com_in_link=(0.0, 0.0, -com_m))
+    model = replace(model, links=(*model.links[:-1], replace(model.links[-1], inertial=bob)))
+    archetype = make_archetype(make_blueprint(model))
+
+    armature, _ = find_joint_inertia(archetype, 4, (0.0, 0.0, 1.0))
+
+    moment = max(archetype.link_parts[-1].inertia)
+    assert armature == pytest.approx(share * moment, rel=0.1)
 
 
 def a_sprung_mass(stiffness: float, *, damping: float = 0.0, reference: float = 0.0) -> Model:
