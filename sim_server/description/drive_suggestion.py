@@ -44,6 +44,8 @@ GOOD_SHARE = 0.1
 """Deviation of a speed or a turn, as a share of the command, up to which a drive is right."""
 MOVES_SHARE = 0.5
 """Share of the commanded speed below which a drive does not move the robot."""
+TURNS_SHARE = 0.1
+"""Share of the commanded turn below which a drive does not turn the robot."""
 MAX_DRIFT_RAD_S = 0.1
 NOT_PREDICTED, STANDS = 2, 3
 
@@ -61,12 +63,12 @@ class TriedDrive(NamedTuple):
 
     @property
     def rank(self) -> int:
-        """Order of preference: as commanded, moving, not predicted, standing."""
+        """Order of preference: as commanded, moving and turning, not predicted, neither."""
         if self.speed is None or self.turn is None:
             return NOT_PREDICTED
         if abs(self.speed - 1.0) <= GOOD_SHARE and abs(self.turn - 1.0) <= GOOD_SHARE:
             return 0
-        return 1 if self.speed >= MOVES_SHARE else STANDS
+        return 1 if self.speed >= MOVES_SHARE and self.turn >= TURNS_SHARE else STANDS
 
     def describe(self) -> str:
         """Say what a trial gave."""

@@ -20,7 +20,7 @@ from tests.sim_server.description.plugins.test_wheel_guess import (
 from tests.sim_server.description.robots import a_link, a_robot, an_inertial, mentions
 from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
-from zensim.sim_server.description.drive_suggestion import suggest_drive, try_drive
+from zensim.sim_server.description.drive_suggestion import TriedDrive, suggest_drive, try_drive
 from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
@@ -84,6 +84,15 @@ def test_drive_of_wheels_in_the_air_ranks_below_one_that_carries() -> None:
     assert front is not None
     assert rear is not None
     assert rear.rank < front.rank
+
+
+def test_drive_that_cannot_turn_the_robot_ranks_last() -> None:
+    order = DriveOrder("diff", ("left", "right"))
+    stuck, unknown, skids = (
+        TriedDrive(order, speed, turn) for speed, turn in ((1.0, 0.0), (None, None), (1.0, 0.2))
+    )
+
+    assert skids.rank < unknown.rank < stuck.rank
 
 
 def test_drive_of_wheels_on_legs_is_not_predicted() -> None:
