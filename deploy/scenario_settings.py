@@ -13,7 +13,8 @@ from zensim.api.local_deployment import (
     choose_pool_count,
 )
 from zensim.proto.endpoints import with_free_port
-from zensim.proto.settings.deployment_settings import DeploymentSettings, RateOverrides, UpSettings
+from zensim.proto.settings.deployment_settings import DeploymentSettings, UpSettings
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.setting import Group, change_settings, list_settings, read_key_value
 from zensim.scenario.scenario_reader import Scenario
 from zensim.scenario.setting_sections import AgentsSection

@@ -8,7 +8,7 @@ import msgspec
 from zensim.proto.messages.agent_messages import Claim, OnRelease
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
-from zensim.proto.settings.deployment_settings import RateOverrides
+from zensim.proto.settings.rate_settings import RateOverrides
 
 AS_DESCRIBED = RateOverrides()
 

@@ -20,8 +20,8 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
-from zensim.proto.settings.deployment_settings import RateOverrides
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.verbosity import print_announcement
 from zensim.robot_agent.agent import run_agent_process
 from zensim.robot_agent.agent_config import AS_DESCRIBED, AgentConfig, AgentProcessConfig

@@ -65,10 +65,10 @@ from zensim.proto.settings.deployment_settings import (
     USUAL,
     AgentSettings,
     ProgramSettings,
-    RateOverrides,
     ViewerSettings,
 )
 from zensim.proto.settings.path_completion import complete_models
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.setting import change_settings, read_settings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor

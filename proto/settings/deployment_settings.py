@@ -7,6 +7,7 @@ import msgspec
 
 from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.operation_settings import OperationSettings
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.ros_choice import RosChoice, TfChoice
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.setting import Setting
@@ -14,37 +15,6 @@ from zensim.proto.settings.setting import Setting
 MAX_AGENT_PROCESSES: Final = 20
 """Default limit of one agent process per robot; each takes 11 MB."""
 PageRole = Literal["page", "operator"]
-
-
-class RateOverrides(msgspec.Struct, frozen=True):
-    """Rates [Hz, simulation time] of the topics of robots."""
-
-    odom_hz: Annotated[
-        float | None,
-        Setting(
-            help="Odometry rate; 0 = every state.",
-            panel="Telemetry",
-            metavar="HZ",
-            unit="Hz",
-            clock="simulation time",
-            least=0.0,
-            usual="from the robot description",
-            key="agents[0].odom_rate",
-        ),
-    ] = None
-    tf_hz: Annotated[
-        float | None,
-        Setting(
-            help="Rate of tf; 0 = every state.",
-            panel="Telemetry",
-            metavar="HZ",
-            unit="Hz",
-            clock="simulation time",
-            least=0.0,
-            usual="`odom_hz`, or from the robot description",
-            key="agents[0].tf_rate",
-        ),
-    ] = None
 
 
 class AgentSettings(msgspec.Struct, frozen=True, kw_only=True):

@@ -5,7 +5,7 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, a_claim, two_wheeler
 from zensim.proto.messages.agent_messages import Claim
-from zensim.proto.settings.deployment_settings import RateOverrides
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent_config import override_rates
 from zensim.robot_agent.base_controller import find_motion_rates

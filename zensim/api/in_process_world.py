@@ -22,9 +22,9 @@ from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest
 from zensim.proto.service_catalog import SIMULATE_STEPS, Request, Response, Service
-from zensim.proto.settings.deployment_settings import RateOverrides
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.proto.settings.pace_settings import PaceSettings
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.start_settings import StartSettings
 from zensim.sim_server.server_config import ServerConfig

@@ -28,10 +28,10 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.settings.deployment_settings import (
     NO_PAGE,
     DeploymentSettings,
-    RateOverrides,
     ServeSettings,
     ViewerSettings,
 )
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.setting import change_settings, write_words
 from zensim.proto.supervisor import (
     PREPARED_START_MODULE,

@@ -47,7 +47,7 @@ from zensim.proto.service_catalog import (
     Service,
     require_ok,
 )
-from zensim.proto.settings.deployment_settings import RateOverrides
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.topic_catalog import MAP
 from zensim.proto.topic_faults import TopicFaults
 from zensim.robot_agent.agent_config import AS_DESCRIBED, override_rates

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zensim.api.simulation import Simulation
-from zensim.proto.settings.deployment_settings import RateOverrides
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.setting import list_settings
 from zensim.scenario.scenario_reader import Scenario, find_scenario_file, read_scenario

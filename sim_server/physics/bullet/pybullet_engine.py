@@ -530,7 +530,6 @@ class PyBulletEngine(Engine):
         )
         # Bullet gives bodies numbers of its own; all that is private here uses those.
         self._unique_ids, self._numbers_of = dict[int, int](), dict[int, int]()
-        # By identity: tuples of bodies that were looked up, and their numbers of Bullet.
         self._found: dict[int, tuple[Sequence[int], tuple[int, ...]]] = {}
         self._bodies: dict[int, BulletBody] = {}
         self._recipe: BodyRecipe | None = None  # of the last model

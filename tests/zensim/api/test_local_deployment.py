@@ -28,8 +28,9 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.settings.deployment_settings import ProgramSettings, RateOverrides
+from zensim.proto.settings.deployment_settings import ProgramSettings
 from zensim.proto.settings.network_settings import NetworkSettings
+from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.setting import change_settings, make_settings
 from zensim.proto.topic_catalog import EVENTS
