@@ -13,7 +13,7 @@ import pybullet
 from benchmarks.bodies import standing_at
 from benchmarks.circling_driver import WHEEL_SPEEDS
 from benchmarks.ten_robots import SPACING_M
-from tests.sim_server.physics.bullet_probe import client_of
+from tests.sim_server.physics.bullet_probe import client_of, unique_id_of
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.bullet_contact import SOLVER_ITERATIONS
@@ -44,13 +44,14 @@ class PlainLoop:
         self._client = client_of(self._engine)
         self._control_steps = control_steps
         model = read_urdf(read_builtin_model("box_bot"))
-        self._bodies = []
+        bodies = []
         for place in make_fleet_layout("box_bot", count, "grid", SPACING_M):
             base = standing_at(place.x)
             base[1] = place.y
-            self._bodies.append(self._engine.add(model, base))
+            bodies.append(self._engine.add(model, base))
         # Commanded through the engine, which releases the rolling resistance of robots at rest.
-        self._engine.command(self._bodies, np.tile(WHEEL_SPEEDS, count))
+        self._engine.command(bodies, np.tile(WHEEL_SPEEDS, count))
+        self._bodies = [unique_id_of(self._engine, body) for body in bodies]
         self._wheels = [self._moving(body) for body in self._bodies]
 
     def turn(self, least_s: float, iterations: int = FEW_ITERATIONS) -> Turn:
