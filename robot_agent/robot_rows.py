@@ -117,9 +117,9 @@ class StateRows:
 
 
 class KeptRows:
-    """Columns of which each row is as of when it was kept.
+    """A copy of columns, updated by rows: each row has the values of its last `keep`.
 
-    Nothing is copied while all rows are kept at once, as they mostly are.
+    Arrays are shared, not copied, while all rows are updated at once, which is the usual case.
     """
 
     def __init__(self, columns: int) -> None:
@@ -134,7 +134,7 @@ class KeptRows:
         self.values, self._is_shared = remap_floats(self.values, before), False
 
     def keep(self, rows: IntArray, columns: FloatArray) -> None:
-        """Keep ascending rows of columns (n, ...) that nobody changes afterwards."""
+        """Keep ascending rows of columns (n, ...); the caller does not change them later."""
         if len(rows) == len(columns):
             self.values, self._is_shared = columns, True
         elif len(rows):

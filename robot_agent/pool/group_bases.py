@@ -236,7 +236,7 @@ class GroupBaseController:
         self._kept = KeptRows(STATE_COLUMNS if self._encoders is None else MOTION_COLUMNS)
         """State of the root link of each row, or its motion by encoders, at its last odometry."""
         self._motions: FloatArray | None = None
-        """What these are as motions; None until somebody asks."""
+        """Motions of the kept states; None until a topic needs them."""
 
     def remap(self, before: IntArray) -> None:
         """Remap rows; see `remap_floats`."""

@@ -36,8 +36,8 @@ class TopicReader(Generic[Value]):
     """Messages of a subscription; those of another type are counted and left out.
 
     Attributes:
-        last: The last one that was read; None before the first.
-        heard_s: Time at which it was read; at first that of the creation [s of the clock].
+        last: Newest message that was decoded; None before the first.
+        heard_s: Time of decoding it, at first of the creation [s of the clock].
         malformed: Messages of another type.
     """
 

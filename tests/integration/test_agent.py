@@ -51,7 +51,7 @@ def agents_up(bus: Bus) -> list[str]:
 
 @contextmanager
 def paused(server: Server) -> Iterator[None]:
-    """Pause time: an agent that a busy host keeps from a core is not taken for one that hangs."""
+    """Pause time: on a busy host the server would take a slow agent for one that hangs."""
     server.client.set_simulation_state(State.PAUSED)
     yield
     server.client.set_simulation_state(State.PLAYING)

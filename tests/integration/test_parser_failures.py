@@ -48,7 +48,7 @@ def assert_steps_and_spawns(server: Server) -> Iterator[None]:
 
 
 def find_parser(server: Server) -> psutil.Process:
-    """Find the parser process of a server; one that has just begun has no command line yet."""
+    """Find the parser process of a server; a process that has just started has no command line."""
 
     def find() -> psutil.Process | None:
         children = psutil.Process(server.process.pid).children()
