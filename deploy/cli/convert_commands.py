@@ -13,9 +13,10 @@ from zensim.deploy.cli.recording_options import (
     MaxBagDurationOption,
     MaxBagSizeOption,
     RegexOption,
+    SpanOption,
     StartOffsetOption,
     StorageProfileOption,
-    find_end_ns,
+    find_span,
 )
 from zensim.proto.cli_options import JsonOption, expand_options, parse_choice
 from zensim.proto.exit_codes import exit_on_failure
@@ -26,7 +27,7 @@ from zensim.recording.byte_sizes import parse_size
 from zensim.recording.conversion import ConversionSettings, convert_recordings
 from zensim.recording.mcap_writer import DEFAULT_PRESET, PRESETS
 from zensim.recording.recording_parts import PartSettings
-from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 CONVERT_EXAMPLES: Final = """Examples:
@@ -60,12 +61,7 @@ class ConvertOptions:
     exclude_regex: ExcludeRegexOption = ""
     exclude_topics: ExcludeTopicsOption = None
     start_offset: StartOffsetOption = 0.0
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help=r"Recorded time to copy \[s].", show_default="to the end"
-        ),
-    ] = None
+    duration: SpanOption = None
     max_bag_size: MaxBagSizeOption = "0"
     max_bag_duration: MaxBagDurationOption = 0.0
     storage_preset_profile: StorageProfileOption = DEFAULT_PRESET
@@ -99,9 +95,7 @@ def make_conversion_settings(given: ConvertOptions) -> ConversionSettings:
         ValueError: One is not valid.
     """
     preset = parse_choice("--storage-preset-profile", given.storage_preset_profile, tuple(PRESETS))
-    start_ns, end_ns = round(given.start_offset * NANOSECONDS), LAST_NS
-    if given.duration is not None:
-        end_ns = find_end_ns("--duration", given.start_offset, given.duration)
+    start_ns, end_ns = find_span("--duration", given.start_offset, given.duration)
     is_named = bool(given.topics or given.regex)
     selection = TopicSelection(
         topics=tuple(given.topics or ()),

@@ -8,13 +8,13 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
+from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.cli_options import JsonOption, expand_options
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.message_series import MessageSeries, parse_series_choice, read_series
-from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.recording_reader import RecordingReader
 
 SUFFIXES: Final = (".png", ".svg", ".pdf")
 
@@ -58,14 +58,8 @@ class PlotOptions:
             show_default="name of the recording, .png",
         ),
     ] = None
-    start_offset: Annotated[
-        float,
-        typer.Option(min=0.0, metavar="SECONDS", help=r"Leave out what is before this time \[s]."),
-    ] = 0.0
-    duration: Annotated[
-        float,
-        typer.Option(min=0.0, metavar="SECONDS", help=r"Draw this log time \[s]; 0 = all."),
-    ] = 0.0
+    start_offset: StartOffsetOption = 0.0
+    duration: SpanOption = None
     as_json: JsonOption = False
 
 
@@ -82,11 +76,8 @@ def plot_command(given: PlotOptions) -> None:
         if find_spec("matplotlib") is None:
             raise MissingPlotExtra("matplotlib is not installed; use pip install 'zensim[plot]'")
         reader = RecordingReader(given.path)
-        start_ns = reader.start_ns + round(given.start_offset * NANOSECONDS)
-        end_ns = start_ns + round(given.duration * NANOSECONDS) if given.duration else LAST_NS
-        found = read_series(
-            reader, choices, start_ns=start_ns if given.start_offset else 0, end_ns=end_ns
-        )
+        start_ns, end_ns = find_log_span(reader, given.start_offset, given.duration)
+        found = read_series(reader, choices, start_ns=start_ns, end_ns=end_ns)
         _draw(found, target, given.path.name)
     for file in reader.unclosed:
         print_note("bag", f"{file} was never closed, and is read in whole; 'zensim bag recover'")

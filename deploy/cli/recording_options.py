@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperCommand
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
 
 TOPICS_PANEL, FILES_PANEL, TIME_PANEL = "Topics", "Files", "Time"
 """Headings of help texts."""
@@ -75,6 +76,15 @@ StartOffsetOption = Annotated[
         rich_help_panel=TIME_PANEL,
     ),
 ]
+SpanOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help=r"Length of the part that is used \[s].",
+        show_default="to the end",
+        rich_help_panel=TIME_PANEL,
+    ),
+]
 
 
 TOPIC_LISTS: Final = ("--topics", "--exclude-topics", "--topic-types", "--exclude-topic-types")
@@ -110,12 +120,21 @@ def is_topic(word: str) -> bool:
     return not (word.startswith("-") or path.is_file() or any(path.glob("*.mcap")))
 
 
-def find_end_ns(option: str, start_s: float, duration_s: float) -> int:
-    """Find where a part of a recording ends, since its first message [ns].
+def find_span(option: str, start_s: float, span_s: float | None) -> tuple[int, int]:
+    """Find start and end of a part of a recording, since its first message [ns].
 
     Raises:
-        ValueError: The duration is not more than 0.
+        ValueError: The part has a length that is not more than 0; `option` says it.
     """
-    if not duration_s > 0:
-        raise ValueError(f"{option} {duration_s:g} is not valid; use more than 0")
-    return round(start_s * NANOSECONDS) + round(duration_s * NANOSECONDS)
+    start_ns = round(start_s * NANOSECONDS)
+    if span_s is None:
+        return start_ns, LAST_NS
+    if not span_s > 0:
+        raise ValueError(f"{option} {span_s:g} is not valid; use more than 0")
+    return start_ns, start_ns + round(span_s * NANOSECONDS)
+
+
+def find_log_span(reader: RecordingReader, start_s: float, span_s: float | None) -> tuple[int, int]:
+    """Find the log times [ns] of a part that `--duration` ends; raises what `find_span` raises."""
+    start_ns, end_ns = find_span("--duration", start_s, span_s)
+    return reader.start_ns + start_ns, min(reader.start_ns + end_ns, LAST_NS)

@@ -19,8 +19,9 @@ from zensim.deploy.cli.recording_options import (
     ExcludeRegexOption,
     ExcludeTopicsOption,
     RegexOption,
+    SpanOption,
     StartOffsetOption,
-    find_end_ns,
+    find_span,
     repeat_options,
 )
 from zensim.proto import keys
@@ -48,7 +49,6 @@ from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
 from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.replay.living_topics import require_unused
-from zensim.recording.replay.replay_clock import UNLIMITED_NS
 from zensim.recording.replay.replay_keyboard import ReplayKeyboard
 from zensim.recording.replay.replay_program import (
     SleepingWait,
@@ -129,15 +129,7 @@ class ReplayOptions(RosOptions):
         bool, flag("--loop", "-l", help="Begin again at the end, until Ctrl-C.", **_time)
     ] = False
     start_offset: StartOffsetOption = 0.0
-    playback_duration: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help=r"Recorded time to replay \[s].",
-            show_default="to the end",
-            **_time,
-        ),
-    ] = None
+    playback_duration: SpanOption = None
     delay: Annotated[
         float,
         typer.Option(
@@ -241,9 +233,7 @@ def make_replay_settings(given: ReplayOptions) -> ReplaySettings:
     Raises:
         ValueError: The duration is not more than 0.
     """
-    start_ns, end_ns = round(given.start_offset * NANOSECONDS), UNLIMITED_NS
-    if (duration_s := given.playback_duration) is not None:
-        end_ns = find_end_ns("--playback-duration", given.start_offset, duration_s)
+    start_ns, end_ns = find_span("--playback-duration", given.start_offset, given.playback_duration)
     return ReplaySettings(
         start_ns=start_ns,
         end_ns=end_ns,

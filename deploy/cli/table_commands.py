@@ -7,13 +7,13 @@ from typing import Annotated, get_args
 import msgspec
 import typer
 
+from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.cli_options import JsonOption, expand_options, flag, parse_choice
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.message_tables import read_tables
-from zensim.recording.recording_reader import LAST_NS, RecordingReader
+from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.table_files import (
     MissingDatasetExtra,
     TableFacts,
@@ -52,14 +52,8 @@ class TableOptions:
     table_format: Annotated[
         str, typer.Option("--to", metavar="parquet|csv|npz", help="Format of the tables.")
     ] = "parquet"
-    start_offset: Annotated[
-        float,
-        typer.Option(min=0.0, metavar="SECONDS", help=r"Leave out what is before this time \[s]."),
-    ] = 0.0
-    duration: Annotated[
-        float,
-        typer.Option(min=0.0, metavar="SECONDS", help=r"Export this log time \[s]; 0 = all."),
-    ] = 0.0
+    start_offset: StartOffsetOption = 0.0
+    duration: SpanOption = None
     arrays: Annotated[
         bool,
         flag("--arrays", help="Export arrays, too: covariances, ranges of scans, pixels, points."),
@@ -76,12 +70,11 @@ def export_command(given: TableOptions) -> None:
         reader = RecordingReader(given.path)
         selection = TopicSelection(topics=tuple(given.topics or ()), wants_all=not given.topics)
         chosen = TopicFilter(selection)
-        start_ns = reader.start_ns + round(given.start_offset * NANOSECONDS)
-        end_ns = start_ns + round(given.duration * NANOSECONDS) if given.duration else LAST_NS
+        start_ns, end_ns = find_log_span(reader, given.start_offset, given.duration)
         tables = read_tables(
             reader,
             lambda topic: chosen.accepts(topic.name),
-            start_ns=start_ns if given.start_offset else 0,
+            start_ns=start_ns,
             end_ns=end_ns,
             wants_arrays=given.arrays,
         )

@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 
 from zensim.deploy.cli import bag_commands, record_commands, replay_commands
 from zensim.deploy.cli.record_commands import RecordOptions, make_session_settings
-from zensim.deploy.cli.recording_options import TOPIC_LISTS, repeat_options
+from zensim.deploy.cli.recording_options import TOPIC_LISTS, find_span, repeat_options
 from zensim.proto.exit_codes import ExitCode
 from zensim.recording.mcap_records import Metadata
 from zensim.recording.mcap_writer import PRESETS
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.recording.recording_parts import PartSettings, RecordingParts
-from zensim.recording.recording_reader import RecordingReader
+from zensim.recording.recording_reader import LAST_NS, RecordingReader
 
 ROSBAG2_OPTIONS = {
     *("--all", "-a", "--regex", "-e", "--exclude-regex", "--topics", "--exclude-topics"),
@@ -36,6 +36,8 @@ ROSBAG2_OPTIONS = {
         (replay_commands.app, ("none.mcap", "--start-offset", "1e300")),
         (bag_commands.app, ("convert", "none.mcap", "-o", "new.mcap", "--duration", "inf")),
         (bag_commands.app, ("convert", "none.mcap", "-o", "new.mcap", "-d", "1e300")),
+        (bag_commands.app, ("export", "none.mcap", "--duration", "nan")),
+        (bag_commands.app, ("plot", "none.mcap", "/a:x", "--start-offset", "inf")),
         (record_commands.app, ("--all", "-o", "new", "--max-bag-duration", "inf")),
     ],
     ids=lambda one: " ".join(one[-2:]) if isinstance(one, tuple) else "",
@@ -159,3 +161,19 @@ def test_custom_data_without_a_name_is_refused(pair: str, tmp_path: Path) -> Non
     )
 
     assert done.exit_code == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(("start_s", "span_s"), [(0.0, None), (2.0, None), (0.5, 0.25)])
+def test_part_of_a_recording_ends_after_its_length_or_with_the_recording(
+    start_s: float, span_s: float | None
+) -> None:
+    start_ns, end_ns = find_span("--duration", start_s, span_s)
+
+    assert start_ns == start_s * 1e9
+    assert end_ns == (LAST_NS if span_s is None else start_ns + span_s * 1e9)
+
+
+@pytest.mark.parametrize("span_s", [0.0, -1.0, float("nan")])
+def test_part_without_a_length_is_refused(span_s: float) -> None:
+    with pytest.raises(ValueError, match="--duration"):
+        find_span("--duration", 0.0, span_s)
