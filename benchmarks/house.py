@@ -68,7 +68,7 @@ CEILINGS: Final[Mapping[str, int]] = {
     "source lines": 147_000,  # ADRs 153 and 154
     "longest import chain": 34,
     "modules with three seams": 31,
-    "classes of networks": 34,
+    "classes of networks": 32,
     "classes with six verbs of engines": 11,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine
     "files of a tick": 88,  # 77 to 83, likewise; ADRs 155 and 157 added four

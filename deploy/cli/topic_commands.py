@@ -20,7 +20,7 @@ from zensim.deploy.cli.command_session import (
 )
 from zensim.deploy.cli.driven_robots import await_driver
 from zensim.deploy.cli.topic_search import ABSENCE_TIMEOUT_S, note_absence
-from zensim.proto.bus.bus_session import Bus, BusPublisher, CopyingSubscription
+from zensim.proto.bus.bus_session import Bus, BusPublisher, BusSubscription
 from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
@@ -289,7 +289,7 @@ def _is_of_topic(key: str) -> bool:
 
 
 def _wait_for_samples(
-    client: SimClient, subscription: CopyingSubscription, key: str, timeout_s: float
+    client: SimClient, subscription: BusSubscription, key: str, timeout_s: float
 ) -> list[Sample]:
     began_s, is_noted = time.monotonic(), False
     while not (samples := subscription.take()):

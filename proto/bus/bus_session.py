@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cached_property, partial
 from itertools import cycle
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar, cast
 
 import msgspec
 import zenoh
@@ -154,12 +154,21 @@ def to_key_expression(key: str) -> zenoh.KeyExpr:
     return canonical
 
 
-class _KeyPublisher:
-    """Publisher on one key. Never blocks: a congested network drops messages."""
+class BusPublisher:
+    """Publisher on one key. Never blocks: a congested network drops messages.
 
-    _put: Callable[..., None]
-    _traffic: BusTraffic
-    _held: HeldMessages
+    It declares nothing, so that a silent key costs the network nothing: a router compares the key
+    of each message with all declared ones. `Session.declare_keyexpr` would not help: it stays in
+    the session.
+    """
+
+    def __init__(self, put: Callable[..., None], traffic: BusTraffic, held: HeldMessages) -> None:
+        self._put, self._traffic, self._held = put, traffic, held
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether there may be a subscriber; nothing says otherwise."""
+        return True
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Publish a message; subscribers drop a second one with the same timestamp."""
@@ -181,8 +190,11 @@ class _KeyPublisher:
         else:
             self._put(payload)
 
+    def close(self) -> None:
+        """Do nothing: nothing is declared."""
 
-class BusPublisher(_KeyPublisher):
+
+class DeclaredPublisher(BusPublisher):
     """Publisher on a key that the network knows of."""
 
     def __init__(
@@ -195,9 +207,7 @@ class BusPublisher(_KeyPublisher):
         self._declare = declare
         self._names = names
         self._publisher = names.declare(self, declare)
-        self._traffic = traffic
-        self._held = held
-        self._put = self._publisher.put
+        super().__init__(self._publisher.put, traffic, held)
         self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
         self._was_matched = False
 
@@ -243,37 +253,6 @@ def is_matched_by_any(publisher: zenoh.Publisher) -> bool:
     return bool(publisher.matching_status.matching)  # type: ignore[attr-defined]
 
 
-class UndeclaredPublisher(_KeyPublisher):
-    """Publisher that declares nothing, so that a silent key costs the network nothing.
-
-    A router compares the key of each message with all declared ones. `Session.declare_keyexpr`
-    would not help: it stays in the session.
-    """
-
-    is_matched = True
-    """Whether there are subscribers; nothing says otherwise."""
-
-    def __init__(
-        self,
-        session: zenoh.Session,
-        key: str,
-        encoding: str,
-        traffic: BusTraffic,
-        held: HeldMessages,
-    ) -> None:
-        self._traffic = traffic
-        self._held = held
-        self._put = partial(
-            session.put,
-            zenoh.KeyExpr(key),
-            encoding=zenoh.Encoding(encoding),
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
-
-    def close(self) -> None:
-        """Do nothing: nothing is declared."""
-
-
 class BusSubscriberWatch:
     """A session that says which key expressions have subscribers, at little cost to the router.
 
@@ -304,9 +283,15 @@ class BusSubscriberWatch:
         tried.undeclare()
         return is_matched
 
-    def advertise(self, key: str, encoding: str) -> UndeclaredPublisher:
+    def advertise(self, key: str, encoding: str) -> BusPublisher:
         """Make a publisher that declares nothing."""
-        return UndeclaredPublisher(self._session, key, encoding, self._traffic, self._held)
+        put = partial(
+            self._session.put,
+            zenoh.KeyExpr(key),
+            encoding=zenoh.Encoding(encoding),
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+        return BusPublisher(put, self._traffic, self._held)
 
 
 class ArrivalSignal:
@@ -393,54 +378,85 @@ def make_queue(
     return Callback(queue.add, indirect=False), queue
 
 
-class BusSubscription:
-    """Subscription on a key expression; a full queue drops the oldest messages."""
-
-    def __init__(
-        self,
-        subscriber: "zenoh.Subscriber[ItemQueue[zenoh.Sample]]",
-        max_bytes: int,
-        traffic: BusTraffic,
-    ) -> None:
-        self._subscriber = subscriber
-        self._queue = subscriber.handler
-        self._max_bytes = max_bytes
-        self._traffic = traffic
+class ReceivedSamples(Protocol):
+    """What a subscription has received and nobody has taken yet."""
 
     def take(self) -> list[Sample]:
-        """Take all queued messages, oldest first."""
+        """Take all messages, oldest first."""
+
+    def take_payloads(self) -> list[bytes]:
+        """Take the bytes of all messages, oldest first."""
+
+    def newest(self) -> Sample | None:
+        """Take all messages and return the last."""
+
+
+class QueuedSamples:
+    """Messages in a queue of limited length; they are copied when they are taken."""
+
+    def __init__(self, queue: ItemQueue[zenoh.Sample], max_bytes: int) -> None:
+        """Read a queue; messages of more than `max_bytes` are dropped."""
+        self._queue, self._max_bytes = queue, max_bytes
+
+    def take(self) -> list[Sample]:
+        """See `ReceivedSamples`."""
         found, receive, max_bytes = [], self._queue.try_recv, self._max_bytes
         while (sample := receive()) is not None:
             payload = sample.payload  # a copy of a reference, which takes a tenth of the time
             if len(payload) <= max_bytes:  # before it is copied
                 found.append(copy_sample(sample, payload))
-        if found:
+        return found
+
+    def take_payloads(self) -> list[bytes]:
+        """See `ReceivedSamples`; at half the cost of `take`."""
+        found, receive = [], self._queue.try_recv
+        while (sample := receive()) is not None:
+            if len(sample.payload) <= self._max_bytes:
+                found.append(sample.payload.to_bytes())
+        return found
+
+    def newest(self) -> Sample | None:
+        """See `ReceivedSamples`."""
+        last, receive = None, self._queue.try_recv
+        while (sample := receive()) is not None:
+            if len(sample.payload) <= self._max_bytes:
+                last = sample
+        return None if last is None else to_sample(last)
+
+
+class BusSubscription:
+    """Subscription on a key expression; the oldest messages are dropped where there is no room."""
+
+    def __init__(
+        self,
+        subscriber: "zenoh.Subscriber[Any]",
+        samples: ReceivedSamples,
+        traffic: BusTraffic,
+    ) -> None:
+        self._subscriber = subscriber
+        self._samples = samples
+        self._traffic = traffic
+
+    def take(self) -> list[Sample]:
+        """Take all messages, oldest first."""
+        if found := self._samples.take():
             self._traffic.received += len(found)
             self._traffic.received_bytes += sum([len(one.payload) for one in found])
         return found
 
     def take_payloads(self) -> list[bytes]:
-        """Take the bytes of all queued messages, oldest first, at half the cost of `take`."""
-        found = []
-        while (sample := self._queue.try_recv()) is not None:
-            if len(sample.payload) <= self._max_bytes:
-                found.append(sample.payload.to_bytes())
-        if found:
+        """Take the bytes of all messages, oldest first, at no more cost than `take`."""
+        if found := self._samples.take_payloads():
             self._traffic.received += len(found)
             self._traffic.received_bytes += sum(map(len, found))
         return found
 
     def newest(self) -> Sample | None:
-        """Take all queued messages and return the last."""
-        last, receive = None, self._queue.try_recv
-        while (sample := receive()) is not None:
-            if len(sample.payload) <= self._max_bytes:
-                last = sample
-        if last is None:
-            return None
-        self._traffic.received += 1
-        self._traffic.received_bytes += len(last.payload)
-        return to_sample(last)
+        """Take all messages and return the last."""
+        if (last := self._samples.newest()) is not None:
+            self._traffic.received += 1
+            self._traffic.received_bytes += len(last.payload)
+        return last
 
     def close(self) -> None:
         """Undeclare the subscription."""
@@ -490,7 +506,7 @@ class NewestSubscription:
 
 
 class CopiedSamples:
-    """Queue of messages that are copied as they come; beyond its limits the oldest are dropped.
+    """Messages that are copied as they come; beyond its limits the oldest are dropped.
 
     A Zenoh sample that waits keeps the whole buffer that it was received in, up to 64 KiB.
     """
@@ -522,36 +538,13 @@ class CopiedSamples:
             self._samples.clear()
         return taken
 
-
-class CopyingSubscription:
-    """Subscription on a key expression whose messages may wait long: their memory is bounded."""
-
-    def __init__(
-        self, subscriber: "zenoh.Subscriber[None]", samples: CopiedSamples, traffic: BusTraffic
-    ) -> None:
-        self._subscriber = subscriber
-        self._samples = samples
-        self._traffic = traffic
-
-    @property
-    def dropped(self) -> int:
-        """Messages that were dropped for newer ones."""
-        return self._samples.dropped
-
-    def take(self) -> list[Sample]:
-        """Take all queued messages, oldest first."""
-        found = self._samples.take()
-        self._traffic.received += len(found)
-        self._traffic.received_bytes += sum([len(one.payload) for one in found])
-        return found
+    def take_payloads(self) -> list[bytes]:
+        """See `ReceivedSamples`."""
+        return [one.payload for one in self.take()]
 
     def newest(self) -> Sample | None:
-        """Take all queued messages and return the last."""
+        """See `ReceivedSamples`."""
         return next(reversed(self.take()), None)
-
-    def close(self) -> None:
-        """Undeclare the subscription."""
-        self._subscriber.undeclare()
 
 
 class BusReceiver:
@@ -989,7 +982,7 @@ class Bus:
                 expression, encoding=encoding, congestion_control=zenoh.CongestionControl.DROP
             )
 
-        return BusPublisher(declare, self._names, self.traffic, self.held_messages)
+        return DeclaredPublisher(declare, self._names, self.traffic, self.held_messages)
 
     def subscribe(
         self, key: str, depth: int = LATEST, max_bytes: int = MAX_MESSAGE_BYTES
@@ -1003,7 +996,7 @@ class Bus:
         """
         handler: QueueHandler[zenoh.Sample] = make_queue(depth, self.arrivals)
         declared = self._session.declare_subscriber(to_key_expression(key), handler)
-        return BusSubscription(declared, max_bytes, self.traffic)
+        return BusSubscription(declared, QueuedSamples(declared.handler, max_bytes), self.traffic)
 
     def expect_key(self, key: str) -> None:
         """Declare a key on which many messages come, for a session with many subscriptions.
@@ -1029,7 +1022,7 @@ class Bus:
 
     def subscribe_copying(
         self, key: str, depth: int, max_bytes: int = MAX_COPIED_BYTES
-    ) -> CopyingSubscription:
+    ) -> BusSubscription:
         """Subscribe to a key expression, for a caller that may take messages late.
 
         Args:
@@ -1045,7 +1038,7 @@ class Bus:
         declared = self._session.declare_subscriber(
             to_key_expression(key), Callback(copy, indirect=False)
         )
-        return CopyingSubscription(declared, samples, self.traffic)
+        return BusSubscription(declared, samples, self.traffic)
 
     def receive(self, key: str) -> BusReceiver:
         """Subscribe to a key, for a caller that waits for each message."""

@@ -11,7 +11,7 @@ from typing import Final, Generic, TypeVar
 
 import msgspec
 
-from zensim.proto.bus.bus_session import Bus, CopyingSubscription
+from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.sensor_messages import SensorStats
@@ -62,7 +62,7 @@ class OdometryRates:
 
     def __init__(self, bus: Bus) -> None:
         # They wait for a second: each would keep the buffer that it was received in.
-        self._topics: WantedTopics[str, CopyingSubscription] = WantedTopics(
+        self._topics: WantedTopics[str, BusSubscription] = WantedTopics(
             lambda key: bus.subscribe_copying(key, ODOM_DEPTH)
         )
         self._since_s: dict[str, float] = {}
