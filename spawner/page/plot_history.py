@@ -23,6 +23,11 @@ MAX_NAME: Final = 60
 """Characters of the name of a field that are shown."""
 TIME_COLUMN: Final = "simulation time [s]"
 FACTOR: Final = "real-time factor"
+HEADROOM: Final = 0.1
+STILL_RANGE: Final = 0.1
+"""Range of a chart whose values are all zero."""
+ROUNDED: Final = (1e-12, 1e300)
+"""Least and greatest difference of values whose range is rounded."""
 
 
 class PlotHistory:
@@ -62,6 +67,22 @@ class PlotHistory:
         writer.writerow((TIME_COLUMN, *self.columns))
         writer.writerows([f"{number:.6g}" for number in row] for row in self._rows)
         return text.getvalue().encode()
+
+
+def find_axis_range(values: Sequence[Array]) -> tuple[float, float]:
+    """Find the range of the axis of a chart: zero, all values (n,), and room beyond them.
+
+    Its ends are multiples of a round step, so that they seldom change while values come.
+    """
+    ends = [0.0, *(end(one) for one in values if len(one) for end in (np.min, np.max))]
+    low, high = float(min(ends)), float(max(ends))
+    if not ROUNDED[0] < high - low < ROUNDED[1]:
+        return low, max(high, STILL_RANGE)
+    room = HEADROOM * (high - low)
+    step = 10.0 ** np.floor(np.log10(high - low)) / 2.0
+    least = np.floor((low - room) / step) * step if low < 0.0 else 0.0
+    most = np.ceil((high + room) / step) * step if high > 0.0 else 0.0
+    return float(least), float(most)
 
 
 def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:

@@ -14,6 +14,7 @@ from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.plot_history import (
     FACTOR,
     PlotHistory,
+    find_axis_range,
     measure_robot,
     name_robot_columns,
     read_numbers,
@@ -31,12 +32,6 @@ PLOTTED_TOPICS: Final = frozenset(
     {"imu", "scan", "range", "joint_states", "vel", "altimeter", "magnetic_field", "air_pressure"}
 )
 CHART_HEIGHT_PX: Final = 150
-FROM_ZERO: Final = {"pad": 0.1, "soft": 0.0, "mode": 1}
-SCALES: Final[dict[str, uplot.Scale]] = {
-    "x": {"time": False},
-    "y": {"range": {"min": FROM_ZERO, "max": FROM_ZERO}},
-}
-"""Charts have zero in view: else the noise of a steady speed would fill them."""
 AXIS_COLOUR: Final = "#8b929c"
 """Visible on light and dark ground."""
 FILE_NAME: Final = "zensim_plot.csv"
@@ -168,6 +163,7 @@ class Chart:
         self._place = gui.add_folder(title, visible=False)
         self._plot: viser.GuiUplotHandle | None = None
         self._columns: list[str] = []
+        self._range = (0.0, 0.0)
 
     def show(
         self,
@@ -180,11 +176,14 @@ class Chart:
             self.hide()
             return
         data = history.make_arrays(columns)
+        limits = find_axis_range(data[1:])
         if self._plot is not None and columns == self._columns:
+            if limits != self._range:
+                self._range, self._plot.scales = limits, _make_scales(limits)
             self._plot.data = data
             return
         self.hide()
-        self._columns, self._place.visible = columns, True
+        self._columns, self._range, self._place.visible = columns, limits, True
         with self._place:
             self._plot = self._gui.add_uplot(
                 data,
@@ -195,7 +194,7 @@ class Chart:
                         for c, p in zip(columns, choose_pens(columns), strict=True)
                     ),
                 ),
-                scales=SCALES,
+                scales=_make_scales(limits),
                 axes=({"stroke": AXIS_COLOUR}, {"stroke": AXIS_COLOUR}),
                 legend={"live": False},
                 height=CHART_HEIGHT_PX,
@@ -207,6 +206,10 @@ class Chart:
             self._plot.remove()
             self._place.visible = False
         self._plot, self._columns = None, []
+
+
+def _make_scales(limits: tuple[float, float]) -> dict[str, uplot.Scale]:
+    return {"x": {"time": False}, "y": {"range": limits}}
 
 
 def _describe_line(column: str, pen: Pen) -> uplot.Series:

@@ -14,6 +14,7 @@ from zensim.spawner.page.plot_history import (
     MAX_NAME,
     PLOT_POINTS,
     PlotHistory,
+    find_axis_range,
     measure_robot,
     name_robot_columns,
     read_numbers,
@@ -109,3 +110,29 @@ def test_numbers_of_a_message_are_its_first_fields_without_covariances() -> None
     assert len(numbers) == MAX_FIELDS
     assert not any("covariance" in name or "header" in name for name in numbers)
     assert read_numbers(Range(range=1.5))["range"] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("values", "wanted"),
+    [
+        ([], (0.0, 0.1)),
+        ([0.0, 0.0], (0.0, 0.1)),
+        ([0.2, 0.2], (0.0, 0.25)),
+        ([0.1999, 0.2], (0.0, 0.25)),
+        ([-0.5, 0.2], (-0.6, 0.3)),
+        ([-0.4], (-0.45, 0.0)),
+        ([101325.0], (0.0, 150000.0)),
+        ([1e-300], (0.0, 0.1)),
+        ([-1e308, 1e308], (-1e308, 1e308)),
+    ],
+)
+def test_axis_has_zero_and_room_beyond_the_values(
+    values: list[float], wanted: tuple[float, float]
+) -> None:
+    assert find_axis_range([np.array(values)]) == pytest.approx(wanted)
+
+
+def test_axis_stays_while_values_change_little() -> None:
+    found = {find_axis_range([np.array([0.2, 0.2 + 0.0001 * i])]) for i in range(100)}
+
+    assert len(found) == 1
