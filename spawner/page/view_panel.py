@@ -13,6 +13,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.spawner.page.floor_picking import PointCallback
 from zensim.spawner.page.instance_updates import MOVED, place_node
+from zensim.spawner.page.label_places import CameraView, choose_readable
 from zensim.spawner.page.motion_overlays import Trails, VelocityArrows
 from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_display import ContactMarks
@@ -105,10 +106,16 @@ class ViewPanel(Panel):
 
     def update(self, state: PageState) -> None:
         """Move all names."""
-        near: list[str] = []
+        selected = [name for name in self._client.selected if name in state.fleet.rows]
+        names = selected
         if self._has_names.value and state.fleet.robots:
-            near = find_nearest(state, np.array(self._client.client.camera.position), MAX_NAMES)
-        self._labels.show([*dict.fromkeys([*self._client.selected, *near])], state)
+            camera = self._client.client.camera
+            near = find_nearest(state, np.array(camera.position), MAX_NAMES)
+            names = [*dict.fromkeys([*selected, *near])]
+            tops = np.array([state.find_top(name) for name in names])
+            readable = choose_readable(read_camera(camera), names, tops, len(selected))
+            names = [names[number] for number in readable]
+        self._labels.show(names, state)
 
     def change_selection(self) -> None:
         """Show the names of the selected entities."""
@@ -240,6 +247,12 @@ class NameLabels:
             name = shown[number]
             self._places[name] = tops[number]
             place_node(self._scene, self._labels[name].name, tops[number])
+
+
+def read_camera(camera: "viser.CameraHandle") -> CameraView:
+    """Read the camera of a visitor."""
+    pose = np.concatenate([camera.position, np.roll(camera.wxyz, -1)])
+    return CameraView(pose, camera.fov, float(camera.image_height))
 
 
 def find_nearest(state: PageState, position: np.ndarray, count: int) -> list[str]:
