@@ -7,7 +7,6 @@ from tests.models import a_box_bot
 from tests.sim_server.description.chain_models import ArmCase, MastCase
 from zensim.proto.messages.model_messages import CommandInterface, Model, Shape
 from zensim.sim_server.description.joint_load_notes import (
-    BENDING,
     COST,
     UNEVEN,
     describe_joint_loads,
@@ -40,7 +39,31 @@ def with_tray(model: Model, friction: float) -> Model:
 def test_arm_that_can_touch_is_told_to_yield_in_pybullet(friction: float) -> None:
     model = with_tray(read(ArmCase(3, 5.0).write_urdf()), friction)
 
-    assert describe_joint_loads(model) == (BENDING, COST)
+    bending, cost = describe_joint_loads(model)
+
+    assert bending.reason.startswith("contacts bend 'j0', 'j1', 'j2' in PyBullet")
+    assert cost == COST
+
+
+@pytest.mark.parametrize(("held", "is_bent"), [("j0", True), ("j2", False)])
+def test_only_joints_with_shapes_beyond_them_are_told_to_yield(held: str, *, is_bent: bool) -> None:
+    model = with_tray(read(ArmCase(3, 5.0).write_urdf()), 1.0)
+    place = next(one.child for one in model.joints if one.name == "j0")
+    shapes = model.links[-1].collisions
+    model = msgspec.structs.replace(
+        model,
+        links=tuple(
+            msgspec.structs.replace(one, collisions=shapes if one.name == place else ())
+            for one in model.links
+        ),
+        joint_controllers=tuple(
+            msgspec.structs.replace(one, joints=(held,)) for one in model.joint_controllers
+        ),
+    )
+
+    reasons = [one.reason for one in describe_joint_loads(model) if one.subject == "joints"]
+
+    assert [one.split(" in ")[0] for one in reasons] == (["contacts bend 'j0'"] if is_bent else [])
 
 
 def test_frictions_that_pybullet_multiplies_are_told() -> None:
