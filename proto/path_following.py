@@ -1,17 +1,43 @@
-"""Controller that drives a robot along points; no clock, no network."""
+"""Law that drives robots to points, on arrays, and its use for one robot; no clock, no network."""
 
 import math
 from collections.abc import Iterable
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
 REACHED_M: Final = 0.05
 """Distance from a point at which it counts as reached."""
 TURN_GAIN: Final = 2.0
 """Angular velocity per heading error [1/s]."""
 MAX_TURN: Final = 1.5
-"""[rad/s]."""
+"""Greatest angular velocity of `steer` [rad/s]."""
 SLOW_DOWN_S: Final = 1.0
-"""Time constant of the approach to the last point."""
+"""Time constant of the approach to a point at which a robot stops."""
+
+
+def find_turn(error: FloatArray, most: float | FloatArray = MAX_TURN) -> FloatArray:
+    """Find angular velocities [rad/s], up to the most, that undo errors of headings [rad]."""
+    return np.asarray(np.clip(TURN_GAIN * error, -most, most))
+
+
+def steer(headings: FloatArray, offsets: FloatArray, speeds: FloatArray) -> FloatArray:
+    """Command robots to points: turn towards them, ahead as far as they face them.
+
+    Args:
+        headings: [rad], (m,).
+        offsets: To the points, in the world [m], (m, 2).
+        speeds: Largest [m/s], (m,); a robot of speed 0 does not turn.
+
+    Returns:
+        Forward [m/s] and angular velocity [rad/s], (m, 2).
+    """
+    error = np.arctan2(offsets[:, 1], offsets[:, 0]) - headings
+    error = np.arctan2(np.sin(error), np.cos(error))
+    ahead = speeds * np.maximum(0.0, np.cos(error))
+    return np.column_stack([ahead, np.where(speeds > 0.0, find_turn(error), 0.0)])
 
 
 class PathController:
@@ -22,7 +48,7 @@ class PathController:
 
         Args:
             points: x and y in the world [m].
-            speed: Most [m/s]; less while the heading is wrong, and near the last point.
+            speed: Most [m/s], > 0; less while the heading is wrong, and near the last point.
         """
         self._left = [(float(x), float(y)) for x, y in points]
         self._speed = speed
@@ -41,13 +67,8 @@ class PathController:
         if not left:
             return None
         to_x, to_y = left[0][0] - x, left[0][1] - y
-        error = _wrap(math.atan2(to_y, to_x) - yaw)
         # A last point is approached ever more slowly, so that the robot does not pass it.
         slow = math.hypot(to_x, to_y) / SLOW_DOWN_S
         most = min(self._speed, slow) if len(left) == 1 else self._speed
-        turn = max(-MAX_TURN, min(MAX_TURN, TURN_GAIN * error))
-        return max(0.0, most * math.cos(error)), turn
-
-
-def _wrap(angle: float) -> float:
-    return math.atan2(math.sin(angle), math.cos(angle))
+        forward, turn = steer(np.array([yaw]), np.array([[to_x, to_y]]), np.array([most]))[0]
+        return float(forward), float(turn)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.path_following import find_turn
 from zensim.proto.se3 import wrap_angle
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,7 +25,7 @@ STOP_AT = 0.5
 """Distance of the nearest obstacle ahead at which a robot stops [m]."""
 FREE_FROM = 0.8
 """Distance that makes a direction worth turning to [m]."""
-TURN_GAIN, MAX_TURN = 2.0, 1.2
+MAX_TURN = 1.2
 
 
 def find_ranges(cast: CastRays, poses: FloatArray) -> FloatArray:
@@ -71,8 +72,7 @@ def steer_around(
     turn_to = np.where(is_near, bearings, chosen)
     room = np.clip(straight - STOP_AT, 0.0, None)
     ahead = np.minimum(speeds, room) * np.maximum(0.0, np.cos(turn_to))
-    turn = np.clip(TURN_GAIN * turn_to, -MAX_TURN, MAX_TURN)
-    return np.column_stack([ahead, turn])
+    return np.column_stack([ahead, find_turn(turn_to, MAX_TURN)])
 
 
 def find_bearings(poses: FloatArray, points: FloatArray) -> FloatArray:

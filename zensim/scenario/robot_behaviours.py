@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.path_following import SLOW_DOWN_S, steer
 from zensim.scenario.quantities import make_uniforms
 from zensim.scenario.ray_navigation import (
     PERIOD_S,
@@ -39,12 +40,6 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 BehaviourT = TypeVar("BehaviourT")
-TURN_GAIN = 2.0
-"""Turn by error of heading [1/s]."""
-MAX_TURN = 1.5
-"""Greatest turn of robots that follow points [rad/s]."""
-SLOW_DOWN_S = 1.0
-"""Time constant of the approach to a point at which a robot stops."""
 
 
 @dataclass(frozen=True)
@@ -290,21 +285,6 @@ class PythonMotion(Motion):
             )
         self._twists = found
         return found
-
-
-def steer(headings: FloatArray, offsets: FloatArray, speeds: FloatArray) -> FloatArray:
-    """Command robots to points: turn towards them, ahead as far as they face them.
-
-    Args:
-        headings: [rad], (m,).
-        offsets: To the points, in the world [m], (m, 2).
-        speeds: Largest [m/s], (m,).
-    """
-    error = np.arctan2(offsets[:, 1], offsets[:, 0]) - headings
-    error = np.arctan2(np.sin(error), np.cos(error))
-    ahead = speeds * np.maximum(0.0, np.cos(error))
-    turn = np.clip(TURN_GAIN * error, -MAX_TURN, MAX_TURN)
-    return np.column_stack([ahead, np.where(speeds > 0.0, turn, 0.0)])
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.path_following import find_turn
 from zensim.proto.se3 import wrap_angle
 from zensim.vda5050.route_geometry import FloatArray, Route
 
@@ -21,8 +22,6 @@ NEAR_POINTS: Final = 8
 """Points that are looked at beyond the present one."""
 ADVANCES: Final = 3
 """Points that a vehicle can pass in one step."""
-TURN_GAIN: Final = 2.0
-"""Angular velocity per heading error [1/s]."""
 PIVOT_FROM_RAD, PIVOT_TO_RAD = 0.6, 0.1
 """Heading errors at which a turn on the spot begins and ends."""
 REVERSE_RAD: Final = 2.0
@@ -191,8 +190,7 @@ def follow(
     turn_at_stop = np.where(at_stop & ~aligned, np.nan_to_num(missing), 0.0)
     twists = _steer(table, speed, alpha, distance, poses[:, 2])
     twists[~moves] = 0.0
-    most = table.limits[:, 1]
-    twists[:, 2] += np.clip(TURN_GAIN * turn_at_stop, -most, most)
+    twists[:, 2] += find_turn(turn_at_stop, table.limits[:, 1])
     twists[gate <= 0.0] = 0.0
     table.driven = np.hypot(twists[:, 0], twists[:, 1])
     is_on_way = table.node_s < table.stop_s - REACHED_M
@@ -285,12 +283,12 @@ def _steer(
     bend = np.clip(2.0 * np.sin(alpha) / distance, -curvature, curvature)
     slow = np.minimum(speed * np.maximum(np.cos(alpha), 0.2), most / np.maximum(np.abs(bend), 1e-9))
     v = np.where(table.is_pivoting, 0.0, slow)
-    w = np.where(table.is_pivoting, np.clip(TURN_GAIN * alpha, -most, most), v * bend)
+    w = np.where(table.is_pivoting, find_turn(alpha, most), v * bend)
     twists = np.stack([np.where(is_reverse, -v, v), np.zeros_like(v), w], axis=1)
     _set_steering(table, twists, np.where(is_reverse, -bend, bend))
     wanted = np.where(np.isnan(heading), toward + turn, heading)
     ahead = toward - yaw
-    spin = np.clip(TURN_GAIN * wrap_angle(wanted - yaw), -most, most)
+    spin = find_turn(wrap_angle(wanted - yaw), most)
     sideways = np.stack([speed * np.cos(ahead), speed * np.sin(ahead), spin], axis=1)
     return np.asarray(np.where(is_sideways[:, None], sideways, twists))
 
