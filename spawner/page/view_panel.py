@@ -67,7 +67,7 @@ class ViewPanel(Panel):
         self._has_names = client.gui.add_checkbox(
             "Names",
             initial_value=True,
-            hint=f"Show the names of the {MAX_NAMES} robots nearest to the camera.",
+            hint=f"Show names of the {MAX_NAMES} nearest robots that can be read.",
         )
         self._overlays: Mapping[str, Overlay] = {
             "Trails": Trails(client.scene, find_robot_colour),
