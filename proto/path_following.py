@@ -1,7 +1,7 @@
 """Law that drives robots to points, on arrays, and its use for one robot; no clock, no network."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -53,13 +53,15 @@ class PathController:
         self._left = [(float(x), float(y)) for x, y in points]
         self._speed = speed
 
-    def control(self, x: float, y: float, yaw: float) -> tuple[float, float] | None:
-        """Find forward [m/s] and angular velocity [rad/s] at a pose; None = over.
+    def aim(self, x: float, y: float) -> tuple[float, float, float] | None:
+        """Find the offset to the next point and the greatest speed there, for `steer`.
 
         Args:
             x: In the world [m].
             y: In the world [m].
-            yaw: Heading [rad].
+
+        Returns:
+            Offset x and y in the world [m], and speed [m/s]; None = the path is over.
         """
         left = self._left
         while left and math.hypot(left[0][0] - x, left[0][1] - y) < REACHED_M:
@@ -69,6 +71,17 @@ class PathController:
         to_x, to_y = left[0][0] - x, left[0][1] - y
         # A last point is approached ever more slowly, so that the robot does not pass it.
         slow = math.hypot(to_x, to_y) / SLOW_DOWN_S
-        most = min(self._speed, slow) if len(left) == 1 else self._speed
-        forward, turn = steer(np.array([yaw]), np.array([[to_x, to_y]]), np.array([most]))[0]
+        return to_x, to_y, min(self._speed, slow) if len(left) == 1 else self._speed
+
+    def control(self, x: float, y: float, yaw: float) -> tuple[float, float] | None:
+        """Find forward [m/s] and angular velocity [rad/s] at a pose [m, rad]; None = over."""
+        if (aimed := self.aim(x, y)) is None:
+            return None
+        forward, turn = steer_each(np.array([yaw]), [aimed])[0]
         return float(forward), float(turn)
+
+
+def steer_each(headings: FloatArray, aims: Sequence[tuple[float, float, float]]) -> FloatArray:
+    """Steer robots with headings [rad] (m,) to what `PathController.aim` found; (m, 2)."""
+    table = np.array(aims)
+    return steer(headings, table[:, :2], table[:, 2])

@@ -12,18 +12,18 @@ import numpy as np
 
 from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
 from zensim.api.call_deadline import check_deadline
-from zensim.api.entity_values import RobotPose
 from zensim.api.odometry_table import TABLE_DEPTH, OdometryTable
 from zensim.api.topic import Topic, TopicDispatcher
 from zensim.api.world_access import Message, WorldAccess, api_errors
-from zensim.api.world_state import POSE, FloatArray, WorldState
+from zensim.api.world_state import FloatArray, WorldState
 from zensim.proto.messages.agent_messages import Claim, FleetOdometry, TwistCommands
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor, Environment, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.near_names import list_near
-from zensim.proto.path_following import PathController
+from zensim.proto.path_following import PathController, steer_each
+from zensim.proto.se3 import to_yaw
 from zensim.proto.topic_catalog import (
     CMD_VEL,
     FLEET_ODOMETRY,
@@ -348,21 +348,23 @@ class WorldSession:
             self._control_paths()
 
     def _control_paths(self) -> None:
-        state, names, twists = self.state(), list[str](), list[tuple[float, float, float]]()
-        for name, control in list(self._paths.items()):
+        state = self.state()
+        aims, over = dict[str, tuple[float, float, float]](), list[str]()
+        for name, path in list(self._paths.items()):
             row = state.row.get(name)
-            found = None
+            aimed = None if row is None else path.aim(*state.base[row, :2].tolist())
+            if aimed is not None:
+                aims[name] = aimed
+                continue
+            self._paths.pop(name, None)
             if row is not None:
-                pose = RobotPose(*state.base[row, POSE].tolist())
-                found = control.control(pose.x, pose.y, pose.yaw)
-            v, w = found or (0.0, 0.0)
-            if not found:
-                self._paths.pop(name, None)
-            if row is not None:
-                names.append(name)
-                twists.append((v, 0.0, w))
-        if names:
-            self._send(tuple(names), np.array(twists))
+                over.append(name)
+        twists = np.zeros((len(aims) + len(over), 3))
+        if aims:
+            headings = to_yaw(state.base[[state.row[name] for name in aims], 3:7])
+            twists[: len(aims), ::2] = steer_each(headings, list(aims.values()))
+        if len(twists):
+            self._send((*aims, *over), twists)
 
     def wait(self, is_over: Callable[[WorldState], bool], timeout_s: float) -> WorldState:
         """Wait in a world that runs by itself.
