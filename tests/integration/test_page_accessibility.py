@@ -41,7 +41,8 @@ const list = () => [...document.querySelectorAll(CONTROLS)]
 const nameOf = (one) => [one.tagName, one.getAttribute("role"), one.getAttribute("aria-label"),
   one.innerText, one.id].filter(Boolean).join(" ").slice(0, 80);
 const isWithinView = (one, x, y) => {
-  if (x < 0 || y < 0 || x >= innerWidth || y >= innerHeight) return false;
+  // Parts of the last pixel are rounded out of the window.
+  if (x < 0 || y < 0 || x >= innerWidth - 1 || y >= innerHeight - 1) return false;
   for (let box = one.parentElement; box; box = box.parentElement) {
     const {left, right, top, bottom} = box.getBoundingClientRect();
     const clips = getComputedStyle(box).overflow !== "visible";
@@ -94,7 +95,9 @@ CONTRASTS = """
     found.push([text.trim().slice(0, 40), contrast(element)]);
   };
   while (walker.nextNode()) add(walker.currentNode.parentElement, walker.currentNode.data);
-  for (const one of document.querySelectorAll("input")) add(one, one.value);
+  // The value of a checkbox is not shown.
+  const fields = document.querySelectorAll("input:not([type=checkbox], [type=radio])");
+  for (const one of fields) add(one, one.value);
   return found;
 })()
 """
