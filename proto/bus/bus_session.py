@@ -379,7 +379,7 @@ def make_queue(
 
 
 class ReceivedSamples(Protocol):
-    """What a subscription has received and nobody has taken yet."""
+    """Messages of a subscription that wait to be taken."""
 
     def take(self) -> list[Sample]:
         """Take all messages, oldest first."""

@@ -13,7 +13,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.sensor_messages import Contacts
 from zensim.spawner.page.floor_picking import PointCallback
 from zensim.spawner.page.instance_updates import MOVED, place_node
-from zensim.spawner.page.label_places import CameraView, choose_readable
+from zensim.spawner.page.label_visibility import CameraView, choose_readable
 from zensim.spawner.page.motion_overlays import Trails, VelocityArrows
 from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_display import ContactMarks

@@ -51,7 +51,7 @@ def agents_up(bus: Bus) -> list[str]:
 
 @contextmanager
 def paused(server: Server) -> Iterator[None]:
-    """Pause time: on a busy host the server would take a slow agent for one that hangs."""
+    """Pause simulation time, so that a slow agent on a busy host does not count as hung."""
     server.client.set_simulation_state(State.PAUSED)
     yield
     server.client.set_simulation_state(State.PLAYING)

@@ -54,10 +54,10 @@ def choose_readable(
     """
     places, depths = camera.project(points)
     widths = LETTER_PX * np.array([len(text) for text in texts]) + EDGES_PX
-    chosen: list[int] = []
-    for number in range(len(texts)):
+    chosen = list(range(kept))
+    for number in range(kept, len(texts)):
         away = np.abs(places[chosen] - places[number])
         is_covered = (away[:, 1] < LINE_PX) & (away[:, 0] < (widths[chosen] + widths[number]) / 2.0)
-        if number < kept or (depths[number] > 0.0 and not is_covered.any()):
+        if depths[number] > 0.0 and not is_covered.any():
             chosen.append(number)
     return chosen

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from zensim.spawner.page.label_places import CameraView, choose_readable
+from zensim.spawner.page.label_visibility import CameraView, choose_readable
 
 AHEAD = CameraView(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.pi / 2.0, 800.0)
 """It looks along z; a point at depth 4 has 100 px a metre."""
