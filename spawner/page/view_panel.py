@@ -1,6 +1,6 @@
 """The tab "See": what is drawn beside the entities in the scene of a visitor."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal, Protocol, get_args
@@ -107,15 +107,15 @@ class ViewPanel(Panel):
     def update(self, state: PageState) -> None:
         """Move all names."""
         selected = [name for name in self._client.selected if name in state.fleet.rows]
-        names = selected
         if self._has_names.value and state.fleet.robots:
             camera = self._client.client.camera
             near = find_nearest(state, np.array(camera.position), MAX_NAMES)
             names = [*dict.fromkeys([*selected, *near])]
             tops = np.array([state.find_top(name) for name in names])
             readable = choose_readable(read_camera(camera), names, tops, len(selected))
-            names = [names[number] for number in readable]
-        self._labels.show(names, state)
+            self._labels.show(names, state, {names[number] for number in readable})
+        else:
+            self._labels.show(selected, state, {*selected})
 
     def change_selection(self) -> None:
         """Show the names of the selected entities."""
@@ -214,26 +214,31 @@ class NameLabels:
         """Positions that the visitor has, by entity."""
         self._stuck: dict[str, StuckNode] = {}
 
-    def show(self, names: Sequence[str], state: PageState) -> None:
-        """Show exactly the names of these entities that are there."""
-        shown = [name for name in names if name in state.fleet.rows]
-        for gone in self._labels.keys() - shown:
+    def show(self, names: Sequence[str], state: PageState, readable: Collection[str]) -> None:
+        """Show the readable names of these entities, which are all there.
+
+        The others are hidden: to remove and to add them again would take more messages.
+        """
+        for gone in self._labels.keys() - names:
             self._labels.pop(gone).remove()
             del self._places[gone]
-        for name in shown:
+        for name in names:
+            is_shown = name in readable
             if name not in self._labels:
                 top = self._places[name] = state.find_top(name)
                 self._labels[name] = self._scene.add_label(
-                    f"/names/{name}", name, anchor="bottom-center", position=top
+                    f"/names/{name}", name, anchor="bottom-center", position=top, visible=is_shown
                 )
+            elif self._labels[name].visible != is_shown:
+                self._labels[name].visible = is_shown
         self._stuck = {}
-        for name in shown:
+        for name in names:
             instance, height_m = state.find_instance(name), float(state.bounds_of(name)[1, 2])
             if instance is not None:
                 node = self._labels[name].name
                 self._stuck[name] = StuckNode(node, *instance, height_m + LABEL_GAP_M)
         self._client.stick("names", tuple(self._stuck.values()))
-        self.move(shown, state)
+        self.move(names, state)
 
     def move(self, names: Sequence[str], state: PageState) -> None:
         """Move shown names to their entities, if they have moved visibly."""

@@ -196,14 +196,15 @@ WINDOWS = {
 IS_ABOVE_SHEET = """
 (() => {
   const {camera, canvas, nodeRefFromName} = window.__viserMutable;
-  const label = nodeRefFromName["/names/box_bot2"].matrixWorld;
-  const seen = camera.position.clone().setFromMatrixPosition(label).project(camera);
+  const outline = nodeRefFromName["/selected/0"]?.matrixWorld;
+  if (!outline || !document.body.innerText.includes("Namespace\\nbox_bot2")) return false;
+  const seen = camera.position.clone().setFromMatrixPosition(outline).project(camera);
   const sheet = document.querySelector(".mantine-Paper-root[style*='position: fixed']");
   const y = (1 - seen.y) / 2 * canvas.getBoundingClientRect().height;
   return Math.abs(seen.x) < 0.5 && y > 0 && y < 0.8 * sheet.getBoundingClientRect().top;
 })()
 """
-"""Whether the name of the robot is in the middle of the picture, above the sheet."""
+"""Whether the outline of the robot is in the middle of the picture, above the sheet."""
 ONE_THEME = ("wide-dark", "phone-light")
 """A theme changes colours only; the first windows, so that a page stays open for all its tests."""
 at_each_size = pytest.mark.parametrize("tab", ONE_THEME, indirect=True)
