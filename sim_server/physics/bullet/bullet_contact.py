@@ -105,6 +105,11 @@ SOFT_SHARE = 1.0
 
 The solver's tolerance decides otherwise: it is as large as the speeds that correct a firm contact.
 """
+MIN_FRICTION_SHARE = 0.01
+"""Least friction in one direction, of that across it.
+
+With 0.0001 a robot with four driven wheels goes at 0.07 to 0.55 of their speed, with 0.01 at 0.996.
+"""
 RIGID_ERP = 0.08
 """Share of a penetration that a step corrects, where rigid; pybullet's default."""
 BOUNCING_ERP = 0.005
@@ -202,12 +207,14 @@ def _make_bouncing_compliance(dt_s: float) -> BulletArguments:
 def _make_anisotropic_friction(part: RigidPart) -> BulletArguments:
     """Make the friction of a part whose direction is one of its principal axes."""
     most = max(part.friction, part.contact.friction_across)
-    along, across = part.friction, part.contact.friction_across
-    shares = [across / most if most else 1.0] * 3
-    shares[find_nearest_principal_axis(part, part.contact.direction)[0]] = (
-        along / most if most else 1.0
-    )
+    shares = [_find_friction_share(part.contact.friction_across, most)] * 3
+    axis, _ = find_nearest_principal_axis(part, part.contact.direction)
+    shares[axis] = _find_friction_share(part.friction, most)
     return BulletArguments(lateralFriction=most, anisotropicFriction=shares)
+
+
+def _find_friction_share(friction: float, most: float) -> float:
+    return max(friction / most, MIN_FRICTION_SHARE) if most else 1.0
 
 
 def limit_static_body_friction(friction: float) -> float:

@@ -9,7 +9,7 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.models import a_box_bot, a_cart, a_state
 from tests.sim_server.description.wheel_models import list_robots
-from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin
+from zensim.proto.messages.model_messages import Contact, Inertial, Joint, Link, Model, Origin
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.model_geometry import find_ground_clearance
@@ -214,6 +214,32 @@ def test_skid_steered_robot_turns_alike_at_any_heading(engine: PyBulletEngine) -
 
     assert turns == pytest.approx([turns[0]] * 4, rel=0.01)
     assert abs(turns[0]) > 0.1
+
+
+@pytest.mark.parametrize("aside", [0.0, 1e-4, 1.0])
+def test_wheels_push_whatever_their_friction_aside(engine: PyBulletEngine, aside: float) -> None:
+    found = a_skid_bot()
+    model = msgspec.structs.replace(
+        found, links=tuple(_slide_aside(one, aside) for one in found.links)
+    )
+    start = a_state((0.0, 0.0, -find_ground_clearance(model)))
+    body = engine.add(model, start)
+    engine.command([body], np.full(4, 2.0))
+    advance(engine, 480)
+
+    radius = abs(find_ground_clearance(model))
+    moved = float(engine.read([body]).base[0, 0])
+
+    assert moved == pytest.approx(2.0 * radius * 480 * STEP_NS * 1e-9, rel=0.03)
+
+
+def _slide_aside(link: Link, friction: float) -> Link:
+    """Give all collisions of a link another friction across the direction ahead."""
+    contact = Contact(direction=(1.0, 0.0, 0.0), friction_across=friction)
+    shapes = tuple(
+        msgspec.structs.replace(shape, friction=1.0, contact=contact) for shape in link.collisions
+    )
+    return msgspec.structs.replace(link, collisions=shapes)
 
 
 def test_carriers_stay_in_place_and_are_reset(engine: PyBulletEngine) -> None:
