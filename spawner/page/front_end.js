@@ -242,7 +242,8 @@ function findInstances(page, path) {
 function stick() {
   requestAnimationFrame(stick);
   const page = window.__viserMutable;
-  if (!page || !page.camera || !stuck.length) return;
+  if (!page || !page.camera) return;
+  if (page.scene && page.scene !== scene) watch(page.scene);
   for (const [name, batch, number, lift] of stuck) {
     const pose = page.nodePoseData[name], mesh = findInstances(page, batch);
     if (!pose || !mesh || number >= mesh.instancesCount) continue;
@@ -255,6 +256,92 @@ function stick() {
   }
 }
 
+// ---- Software WebGL: what a processor draws slowly is left out while something moves.
+// An address with fixedDpr asks for the whole picture.
+
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const NOTICE = "Software WebGL rendering detected";
+const LEAST_DPR = 0.5, DPR_STEP = 0.1, WINDOW_MS = 1000, SLOW_HZ = 24, FAST_HZ = 40;
+// viser draws for 250 ms after each change: still scenes have gaps, then one sharp picture.
+const GAP_MS = 400, MOVING_MS = 600, NOTICE_MS = 5000;
+const getContext = HTMLCanvasElement.prototype.getContext;
+let scene = null, renderer = null, asked = 1, moving = 0.6, limit = 1;
+let began = 0, last = 0, frames = 0, windowAt = 0, noticedAt = 0, isSlow;
+
+// Whether the processor draws in place of a graphics card.
+function isSoftware() {
+  if (isSlow !== undefined) return isSlow;
+  const gl = getContext.call(document.createElement("canvas"), "webgl2");
+  const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  isSlow = SOFTWARE.test(info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "");
+  if (gl) gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return isSlow;
+}
+
+const isReduced = () => !new URLSearchParams(location.search).has("fixedDpr") && isSoftware();
+
+HTMLCanvasElement.prototype.getContext = function (kind, attributes, ...more) {
+  const isScene = attributes && attributes.antialias && String(kind).startsWith("webgl");
+  const wanted = isScene && isReduced() ? {...attributes, antialias: false} : attributes;
+  return getContext.call(this, kind, wanted, ...more);
+};
+
+function watch(found) {
+  scene = found;
+  const before = scene.onBeforeRender;
+  scene.onBeforeRender = (gl, ...more) => {
+    before.call(scene, gl, ...more);
+    if (isReduced() && !more[2]) reduce(gl);
+  };
+}
+
+function reduce(gl) {
+  if (renderer !== gl) {
+    renderer = gl;
+    asked = gl.getPixelRatio();
+    const set = gl.setPixelRatio.bind(gl);
+    gl.setPixelRatio = (ratio) => { asked = ratio; set(Math.min(ratio, limit)); };
+    scene.traverse(({material}) => { if (material) material.needsUpdate = true; });
+  }
+  gl.shadowMap.enabled = false;  // viser sets it with each size of the window
+  const now = performance.now();
+  if (now - last > GAP_MS) [began, windowAt, frames] = [now, now, 0];
+  [last, frames] = [now, frames + 1];
+}
+
+// Called periodically: draws coarsely while something moves, and sharply once nothing does.
+function chooseDpr() {
+  if (!renderer) return;
+  const now = performance.now();
+  if (now - last > GAP_MS) return setLimit(1);
+  if (now - began < MOVING_MS) return;
+  if (now - windowAt > WINDOW_MS) {
+    const hz = 1000 * frames / (now - windowAt);
+    if (hz < SLOW_HZ) moving = Math.max(LEAST_DPR, moving - DPR_STEP);
+    if (hz > FAST_HZ) moving = Math.min(1, moving + DPR_STEP);
+    [windowAt, frames] = [now, 0];
+  }
+  setLimit(moving);
+}
+
+function setLimit(wanted) {
+  if (limit === wanted) return;
+  limit = wanted;
+  renderer.setPixelRatio(asked);
+  window.__viserMutable.requestRender();
+}
+
+// The notice of viser covers controls until it is closed; here it is read, then closed.
+function closeNotice() {
+  if (!isReduced() || noticedAt === Infinity) return;
+  const all = [...document.querySelectorAll(".mantine-Notification-root")];
+  const notice = all.find((one) => one.innerText.includes(NOTICE));
+  noticedAt = noticedAt || (notice ? performance.now() : 0);
+  if (!notice || performance.now() - noticedAt < NOTICE_MS) return;
+  noticedAt = Infinity;
+  notice.querySelector("button").click();
+}
+
 // ---- Parts are filled when the panel shows them.
 
 const FILLERS = {head: fillHead, list: fillList, pad: fillPad};
@@ -264,6 +351,8 @@ function refresh() {
   }
   places("head").forEach(showHead);
   centreAboveSheet();
+  chooseDpr();
+  closeNotice();
 }
 
 // ---- Phone: the picture has its middle in what the sheet leaves free.

@@ -87,12 +87,12 @@ class Tab:
                 return dict(message["result"])
             self._note(message)
 
-    def open(self, url: str) -> None:
-        """Open a viewer page at full resolution, also on slow machines."""
+    def open(self, url: str, query: str = "?fixedDpr=1") -> None:
+        """Open a viewer page, by itself at full resolution, also on slow machines."""
         self.call("Log.enable")
         self.call("Runtime.enable")
         self.set_size(WIDTH, HEIGHT)
-        deleted = self.call("Page.navigate", url=f"{url}/?fixedDpr=1")
+        deleted = self.call("Page.navigate", url=f"{url}/{query}")
         if deleted.get("errorText"):
             raise ConnectionError(f"{url}: {deleted['errorText']}; is the page served there?")
 

@@ -1,0 +1,93 @@
+"""How the page draws in Chromium with WebGL in software, without a server."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any, Final
+
+import pytest
+
+from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium, Tab
+from tests.integration.processes import eventually
+from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot
+from zensim.spawner.page.render_state import SimulationStatus, make_fleet, make_frame
+from zensim.spawner.page.viewer_page import ViewerPage
+
+pytestmark = pytest.mark.browser
+
+WITHIN_S: Final = 60.0
+HAS_ROBOTS: Final = """
+Object.keys(window.__viserMutable.nodeRefFromName).some((one) => one.startsWith("/robots/"))"""
+LOOK: Final = """
+(() => {
+  const {canvas} = window.__viserMutable;
+  return {share: canvas.width / canvas.clientWidth,
+    antialias: canvas.getContext("webgl2").getContextAttributes().antialias,
+    notices: document.querySelectorAll(".mantine-Notification-root").length};
+})()
+"""
+
+
+class Shown:
+    """A robot that moves on a page in a browser."""
+
+    def __init__(self, page: ViewerPage, tab: Tab) -> None:
+        self.page, self.tab = page, tab
+        self._fleet = make_fleet(("r1",), make_models_by_name({"r1": make_robot("r1")}))
+        self._moved_m = 0.0
+
+    def open(self, query: str) -> None:
+        """Open the page and wait for the robot."""
+        self.tab.open(f"http://127.0.0.1:{self.page.port}", query)
+        self.until(lambda: self.tab.evaluate(f"!!window.__viserMutable && {HAS_ROBOTS}"), "a robot")
+
+    def move(self) -> None:
+        """Show the robot somewhat further."""
+        self._moved_m += 0.01
+        snapshot = make_snapshot("r1", joints=self._fleet.joints, at_x=self._moved_m)
+        frame = make_frame(self._fleet, snapshot)
+        self.page.show(self._fleet, frame, SimulationStatus("playing", robots=1), {})
+
+    def until(self, is_so: Callable[[], object], what: str, *, is_moving: bool = True) -> None:
+        """Move the robot, or leave it alone, until something is so."""
+
+        def look() -> bool:
+            self.page.wait_for_input(0.02)
+            if is_moving:
+                self.move()
+            return bool(is_so())
+
+        eventually(look, WITHIN_S, what)
+
+    def look(self) -> dict[str, Any]:
+        """Return how the scene is drawn."""
+        return dict(self.tab.evaluate(LOOK))
+
+
+@pytest.fixture
+def shown() -> Iterator[Shown]:
+    with closing(ViewerPage("127.0.0.1", 0)) as page, Chromium(PANELS_WITHOUT_WEBGL) as browser:
+        yield Shown(page, browser.tab())
+
+
+def test_software_draws_coarsely_while_something_moves_and_sharply_at_rest(shown: Shown) -> None:
+    shown.open("")
+
+    shown.until(lambda: shown.look()["share"] < 0.9, "a coarse picture")
+    shown.until(lambda: shown.look()["share"] > 0.99, "a sharp one", is_moving=False)
+    assert not shown.look()["antialias"]
+
+
+def test_an_address_with_a_resolution_gets_the_whole_picture(shown: Shown) -> None:
+    shown.open("?fixedDpr=1")
+
+    shown.tab.evaluate("window.zensimEnd = performance.now() + 3000")
+    shown.until(lambda: shown.tab.evaluate("performance.now() > window.zensimEnd"), "3 s of frames")
+    assert shown.look()["share"] == pytest.approx(1.0, abs=0.01)
+    assert shown.look()["antialias"]
+
+
+def test_notice_of_software_rendering_closes_by_itself(shown: Shown) -> None:
+    shown.open("")
+
+    shown.until(lambda: shown.look()["notices"], "the notice")
+    shown.until(lambda: not shown.look()["notices"], "no notice", is_moving=False)
