@@ -194,8 +194,11 @@ STYLE: Final = """
 .zensim-pad .is-held { background: var(--zensim-on); }
 .zensim-pad .is-stop, .zensim-pad .is-stop:hover { background: #b3261e; color: #fff;
   border-color: #b3261e; font-weight: 600; }
-/* The legend of a chart says what its lines are; time is along its lower edge. */
-.uplot .u-legend { margin: 0 !important; font-size: 11px !important; text-align: left; }
+/* The legend of a chart says what its lines are and their newest values. */
+.zensim-legend { display: grid; grid-template-columns: 1fr auto; gap: 2px 8px; margin: 0;
+  padding: 0 .7em .5em; font-size: 12px; overflow-wrap: anywhere; }
+.zensim-legend i { display: inline-block; width: 18px; margin-right: 6px; vertical-align: middle; }
+.zensim-legend dd { margin: 0; font-weight: 600; font-variant-numeric: tabular-nums; }
 /* One letter spacing, one radius; numbers at the ends of sliders would lie over their thumbs. */
 label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !important; }
 .mantine-Slider-markLabel { display: none; }

@@ -26,6 +26,12 @@ FACTOR: Final = "real-time factor"
 HEADROOM: Final = 0.1
 STILL_RANGE: Final = 0.1
 """Range of a chart whose values are all zero."""
+COMPARABLE: Final = 0.5
+"""Share of the greatest distance of values from zero at which the least one has zero in view."""
+LEAST_SPAN: Final = 1e-4
+"""Least range of a chart without zero, as a share of its values: smaller changes are noise."""
+PLAIN: Final = (0.01, 1e6)
+"""Numbers that legends show without an exponent."""
 ROUNDED: Final = (1e-12, 1e300)
 """Least and greatest difference of values whose range is rounded."""
 
@@ -69,20 +75,36 @@ class PlotHistory:
         return text.getvalue().encode()
 
 
-def find_axis_range(values: Sequence[Array]) -> tuple[float, float]:
-    """Find the range of the axis of a chart: zero, all values (n,), and room beyond them.
+def find_axis_range(values: Sequence[Array], *, has_zero: bool) -> tuple[float, float]:
+    """Find the range of the axis of a chart: all values (n,), and room beyond them.
 
     Its ends are multiples of a round step, so that they seldom change while values come.
+
+    Args:
+        values: Of each line.
+        has_zero: Whether zero is in view in any case, else only beside values as far from it.
     """
-    ends = [0.0, *(end(one) for one in values if len(one) for end in (np.min, np.max))]
-    low, high = float(min(ends)), float(max(ends))
+    ends = [float(end(one)) for one in values if len(one) for end in (np.min, np.max)] or [0.0]
+    low, high = min(ends), max(ends)
+    far = max(abs(low), abs(high))
+    if has_zero or low < 0.0 < high or min(abs(low), abs(high)) <= COMPARABLE * far:
+        low, high = min(low, 0.0), max(high, 0.0)
+    least = LEAST_SPAN * far
+    if high - low < least:
+        low, high = low - least / 2.0, high + least / 2.0
     if not ROUNDED[0] < high - low < ROUNDED[1]:
         return low, max(high, STILL_RANGE)
     room = HEADROOM * (high - low)
     step = 10.0 ** np.floor(np.log10(high - low)) / 2.0
-    least = np.floor((low - room) / step) * step if low < 0.0 else 0.0
-    most = np.ceil((high + room) / step) * step if high > 0.0 else 0.0
-    return float(least), float(most)
+    lowest = np.floor((low - room) / step) * step if low else 0.0
+    highest = np.ceil((high + room) / step) * step if high else 0.0
+    return float(lowest), float(highest)
+
+
+def format_number(number: float) -> str:
+    """Format a value for a legend."""
+    is_plain = number == 0.0 or PLAIN[0] <= abs(number) < PLAIN[1]
+    return f"{number:.2f}" if is_plain else f"{number:.2e}"
 
 
 def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:

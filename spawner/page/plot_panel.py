@@ -10,11 +10,13 @@ from viser import uplot
 
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.printable_text import to_html
+from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.plot_history import (
     FACTOR,
     PlotHistory,
     find_axis_range,
+    format_number,
     measure_robot,
     name_robot_columns,
     read_numbers,
@@ -31,7 +33,11 @@ NO_SENSOR: Final = "none"
 PLOTTED_TOPICS: Final = frozenset(
     {"imu", "scan", "range", "joint_states", "vel", "altimeter", "magnetic_field", "air_pressure"}
 )
+FREE_CHARTS: Final = ("Position", "Sensor")
+"""Charts that need not have zero in view."""
 CHART_HEIGHT_PX: Final = 150
+TICK_PX: Final = 20
+"""Least distance of ticks of the values."""
 AXIS_COLOUR: Final = "#8b929c"
 """Visible on light and dark ground."""
 FILE_NAME: Final = "zensim_plot.csv"
@@ -145,6 +151,18 @@ def color_fields(columns: Sequence[str]) -> list[Pen]:
     return [(ROBOT_COLOURS[i % len(ROBOT_COLOURS)], False) for i in range(len(columns))]
 
 
+def make_legend_html(columns: Sequence[str], pens: Sequence[Pen], newest: Sequence[Array]) -> str:
+    """Say what the lines of a chart are, and their newest value (1,) if there is one."""
+    rows = []
+    for column, ((red, green, blue), is_dashed), values in zip(columns, pens, newest, strict=True):
+        style = f"{'dashed' if is_dashed else 'solid'} rgb({red},{green},{blue})"
+        value = format_number(float(values[0])) if len(values) else ""
+        rows.append(
+            f'<dt><i style="border-top:2px {style}"></i>{to_html(column)}</dt><dd>{value}</dd>'
+        )
+    return f'<dl class="zensim-legend">{"".join(rows)}</dl>'
+
+
 def list_plotted_topics(entity: str, model: Model) -> list[WatchedTopic]:
     """List the topics of the sensors of an entity that can be plotted."""
     return [
@@ -163,7 +181,9 @@ class Chart:
         self._place = gui.add_folder(title, visible=False)
         self._plot: viser.GuiUplotHandle | None = None
         self._columns: list[str] = []
+        self._legend: viser.GuiHtmlHandle | None = None
         self._range = (0.0, 0.0)
+        self._has_zero = title not in FREE_CHARTS
 
     def show(
         self,
@@ -176,8 +196,11 @@ class Chart:
             self.hide()
             return
         data = history.make_arrays(columns)
-        limits = find_axis_range(data[1:])
-        if self._plot is not None and columns == self._columns:
+        limits = find_axis_range(data[1:], has_zero=self._has_zero)
+        pens = choose_pens(columns)
+        legend = make_legend_html(columns, pens, [line[-1:] for line in data[1:]])
+        if self._plot is not None and self._legend is not None and columns == self._columns:
+            self._legend.content = legend
             if limits != self._range:
                 self._range, self._plot.scales = limits, _make_scales(limits)
             self._plot.data = data
@@ -189,23 +212,22 @@ class Chart:
                 data,
                 (
                     {"label": "simulation time [s]"},
-                    *(
-                        _describe_line(c, p)
-                        for c, p in zip(columns, choose_pens(columns), strict=True)
-                    ),
+                    *(_describe_line(*one) for one in zip(columns, pens, strict=True)),
                 ),
                 scales=_make_scales(limits),
-                axes=({"stroke": AXIS_COLOUR}, {"stroke": AXIS_COLOUR}),
-                legend={"live": False},
+                axes=({"stroke": AXIS_COLOUR}, {"stroke": AXIS_COLOUR, "space": TICK_PX}),
+                legend={"show": False},
                 height=CHART_HEIGHT_PX,
             )
+            self._legend = self._gui.add_html(legend)
 
     def hide(self) -> None:
         """Remove the chart."""
-        if self._plot is not None:
+        if self._plot is not None and self._legend is not None:
             self._plot.remove()
+            self._legend.remove()
             self._place.visible = False
-        self._plot, self._columns = None, []
+        self._plot, self._legend, self._columns = None, None, []
 
 
 def _make_scales(limits: tuple[float, float]) -> dict[str, uplot.Scale]:

@@ -15,14 +15,16 @@ from zensim.spawner.page.viewer_client import PageState, StuckNode, ViewerClient
 
 OUTLINE_COLOURS: Final = ((255, 214, 64), (170, 178, 190))
 """Colours of the first selected entity, and of the others."""
-OUTLINE_GAPS_M: Final = 0.015 * np.array([(-1.0, -1.0, 0.2), (1.0, 1.0, 1.0)])
+OUTLINE_GAPS_M: Final = 0.004 * np.array([(-1.0, -1.0, 0.2), (1.0, 1.0, 1.0)])
 """Gaps between the bounds of an entity and its outline, which the ground must not hide."""
 OUTLINE_PX: Final = 2.5
 """Width of its lines on the screen."""
+CORNER_SHARE: Final = 0.22
+"""Share of each edge that is drawn at each of its ends: whole edges look larger than the entity."""
 
 
 class SelectionOutlines:
-    """A box around each selected entity."""
+    """The corners of a box around each selected entity."""
 
     def __init__(self, client: ViewerClient) -> None:
         self._client, self._scene = client, client.scene
@@ -55,22 +57,18 @@ class SelectionOutlines:
     def _add(self, number: int, bounds: Array) -> viser.LineSegmentsHandle:
         return self._scene.add_line_segments(
             f"/selected/{number}",
-            make_box_edges(bounds + OUTLINE_GAPS_M),
+            make_box_corners(bounds + OUTLINE_GAPS_M),
             to_linear(np.array(OUTLINE_COLOURS[min(number, 1)])),
             thickness=OUTLINE_PX,
             thickness_units="screen",
         )
 
 
-def make_box_edges(bounds: Array) -> FloatArray:
-    """Make the edges (12, 2, 3) of a box from its lowest and highest corner (2, 3)."""
+def make_box_corners(bounds: Array) -> FloatArray:
+    """Make the ends of edges (24, 2, 3) of a box from its lowest and highest corner (2, 3)."""
     corners = np.array([*product((0, 1), repeat=3)])
-    pairs = [
-        (a, b)
-        for a in range(len(corners))
-        for b in range(a + 1, len(corners))
-        if np.abs(corners[a] - corners[b]).sum() == 1
-    ]
+    ends, others = np.nonzero(np.abs(corners[:, None] - corners).sum(axis=2) == 1)
     places = np.where(corners == 1, bounds[1], bounds[0])
-    edges: FloatArray = places[np.array(pairs)]
-    return edges
+    tips = places[ends] + CORNER_SHARE * (places[others] - places[ends])
+    segments: FloatArray = np.stack((places[ends], tips), axis=1)
+    return segments

@@ -15,6 +15,7 @@ from zensim.spawner.page.plot_history import (
     PLOT_POINTS,
     PlotHistory,
     find_axis_range,
+    format_number,
     measure_robot,
     name_robot_columns,
     read_numbers,
@@ -129,10 +130,37 @@ def test_numbers_of_a_message_are_its_first_fields_without_covariances() -> None
 def test_axis_has_zero_and_room_beyond_the_values(
     values: list[float], wanted: tuple[float, float]
 ) -> None:
-    assert find_axis_range([np.array(values)]) == pytest.approx(wanted)
+    assert find_axis_range([np.array(values)], has_zero=True) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("values", "wanted"),
+    [
+        ([101315.0, 101335.0], (101310.0, 101340.0)),
+        ([-101335.0, -101315.0], (-101340.0, -101310.0)),
+        ([101325.0], (101315.0, 101335.0)),
+        ([1.0, 2.0], (0.0, 2.5)),
+        ([-1.0, 100.0], (-50.0, 150.0)),
+        ([], (0.0, 0.1)),
+    ],
+)
+def test_axis_has_zero_only_beside_values_that_are_as_far_from_it(
+    values: list[float], wanted: tuple[float, float]
+) -> None:
+    assert find_axis_range([np.array(values)], has_zero=False) == pytest.approx(wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [(0.0, "0.00"), (0.3, "0.30"), (101325.123, "101325.12"), (4.9e-5, "4.90e-05")],
+)
+def test_legend_has_small_and_large_numbers(number: float, text: str) -> None:
+    assert format_number(number) == text
 
 
 def test_axis_stays_while_values_change_little() -> None:
-    found = {find_axis_range([np.array([0.2, 0.2 + 0.0001 * i])]) for i in range(100)}
+    found = {
+        find_axis_range([np.array([0.2, 0.2 + 0.0001 * i])], has_zero=True) for i in range(100)
+    }
 
     assert len(found) == 1
