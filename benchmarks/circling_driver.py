@@ -18,7 +18,7 @@ from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.service_catalog import CLAIM_ENTITY
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, SNAPSHOT
 

@@ -11,7 +11,7 @@ from typing import Protocol
 from benchmarks import machine
 from benchmarks.benchmark_report import Section
 from benchmarks.measured_page import format_page, read_sections
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 
 class Make(Protocol):

@@ -15,7 +15,7 @@ from benchmarks.machine import ROOT
 from benchmarks.ten_robots import POLL_S, poll_until
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 
 CALL = "bench/call"
 SINK = "bench/sink"

@@ -14,7 +14,7 @@ from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.topic_catalog import CMD_VEL
 
 BURSTS = 50

@@ -18,7 +18,7 @@ from benchmarks.ten_robots import spawn
 from benchmarks.watched_server import Usage, mark
 from tests.integration.processes import connected, end, free_endpoint
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 
 PATIENCE_S = 120.0

@@ -29,7 +29,7 @@ from zensim.proto.messages.entity_messages import EntityFilters, GetEntitiesRequ
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Twist, Vector3
 from zensim.proto.messages.telemetry_messages import GetModelsRequest
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.tls_probe import fetch_authority
 from zensim.proto.topic_catalog import DRIVE_COMMAND
 

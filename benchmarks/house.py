@@ -66,8 +66,8 @@ GOALS: Final[Mapping[str, int]] = {
 CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
     "source lines": 147_000,  # ADRs 153 and 154
-    "longest import chain": 34,
-    "modules with three seams": 31,
+    "longest import chain": 32,
+    "modules with three seams": 24,
     "classes of networks": 32,
     "classes with six verbs of engines": 11,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine

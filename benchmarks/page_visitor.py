@@ -20,7 +20,7 @@ from tests.integration.page_client import (
     encode_camera,
     read_messages,
 )
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.web_access import TOKEN_NAME, name_cookie
 
 SETTLE_S = 2.0

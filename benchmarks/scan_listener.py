@@ -11,7 +11,7 @@ import msgspec
 
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.topic_catalog import IMU, ODOM, SCAN, TF
 
 SCAN_TALLY = "bench/scans"

@@ -11,7 +11,7 @@ import msgspec
 
 from zensim.deploy.cli import main
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.sim_server.world.simulation_clock import SimulationClock
 
 

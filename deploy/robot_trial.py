@@ -22,11 +22,11 @@ from zensim.api.simulation import fetch_models
 from zensim.api.world_host import open_shared_store
 from zensim.deploy.robot_checks import DrivenPart, RobotCheck, TrialRequest, TrialResult
 from zensim.proto.child_process import STDERR, reserve_stdout
-from zensim.proto.cli_options import parse_choice
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.exit_codes import format_failure, list_expected_failures
 from zensim.proto.messages.drive_messages import COMPATS
-from zensim.proto.process_limits import die_with_parent
+from zensim.proto.options.command_options import parse_choice
+from zensim.proto.parent_death import die_with_parent
 from zensim.proto.rigid_transforms import find_yaw
 from zensim.proto.settings.engine_settings import ONE_CELL, EngineKeywords
 from zensim.sim_server.description.ground_friction import GroundFriction

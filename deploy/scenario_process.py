@@ -39,7 +39,8 @@ from zensim.proto.child_process import (
     write_frame,
 )
 from zensim.proto.endpoints import with_free_port
-from zensim.proto.process_limits import KILLED_STATUS, die_with_parent
+from zensim.proto.parent_death import die_with_parent
+from zensim.proto.process_limits import KILLED_STATUS
 from zensim.proto.settings.lockstep_settings import PATIENT
 from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.ros_choice import HIDDEN, NAMESPACED, RosChoice, TfChoice

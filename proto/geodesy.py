@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.messages.sensor_messages import SphericalCoordinates
+from zensim.proto.messages.sensing_messages import SphericalCoordinates
 
 FloatArray = npt.NDArray[np.float64]
 

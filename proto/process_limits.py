@@ -4,22 +4,22 @@ No other module imports fcntl, msvcrt or resource. Where a system lacks somethin
 nothing, and says so.
 """
 
-import ctypes
-import mmap
 import os
-import signal
 import socket
 import stat
-import sys
-import threading
 import time
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import import_module
 from math import ceil
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
+
+from zensim.proto.process_memory import STATM
+
+DEFAULT_FILE_LIMIT = 512
+"""Open files of a process where the system does not report its limit."""
+MAX_FILE_LIMIT = 1 << 16
 
 
 def _import_if_there(name: str) -> ModuleType | None:
@@ -33,15 +33,8 @@ resource = _import_if_there("resource")
 fcntl, msvcrt = _import_if_there("fcntl"), _import_if_there("msvcrt")
 """Modules of the standard library; None where the system lacks them: Windows has msvcrt alone."""
 
-PARENT_PID_VARIABLE = "ZENSIM_PARENT"
-"""Environment variable with the process id of the supervisor."""
-PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
-PARENT_POLL_S = 0.5
 LOCKED_OFFSET = 1 << 30
 """Offset of the byte that Windows locks: beyond the end, so that others can read the file."""
-STATM = Path("/proc/self/statm")
-SIGKILL = getattr(signal, "SIGKILL", signal.SIGTERM)
-"""Signal that ends a process at once; Windows ends it so for any signal."""
 KILLED_STATUS, OUT_OF_CPU_TIME_STATUS = -9, -24
 """Exit status of a process that was killed, or ended by its limit of CPU time."""
 
@@ -55,60 +48,6 @@ class ResourceLimits(NamedTuple):
     """CPU time since the process started; the kernel kills it afterwards."""
     is_sandboxed: bool = False
     """Whether new file descriptors, file data, processes and threads are refused."""
-
-
-def die_with_parent(signal_number: signal.Signals = SIGKILL, *, parent: int | None = None) -> None:
-    """Send this process a signal when its parent ends.
-
-    The kernel does it where prctl exists; elsewhere a thread looks twice a second. Windows does not
-    report the end of a parent.
-
-    Args:
-        signal_number: To send.
-        parent: Process id of the parent, if it is known.
-
-    Raises:
-        SystemExit: That parent has ended already.
-    """
-    prctl = _find_prctl()
-    if prctl is not None:
-        prctl(PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
-    else:
-        threading.Thread(
-            target=_await_orphanhood, args=(os.getppid(), signal_number), daemon=True
-        ).start()
-    # Its end before the call above sends nothing.
-    if parent is not None and os.getppid() != parent:
-        sys.exit(f"parent process {parent} has ended, so this one ends; see {PARENT_PID_VARIABLE}")
-
-
-def set_subreaper(*, is_one: bool) -> None:
-    """Let this process get the children of its descendants that end, or no longer; Linux only."""
-    prctl = _find_prctl()
-    if prctl is not None:
-        prctl(PR_SET_CHILD_SUBREAPER, int(is_one), 0, 0, 0)
-
-
-def _find_prctl() -> Callable[..., int] | None:
-    return getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
-
-
-def _await_orphanhood(parent: int, signal_number: signal.Signals) -> None:
-    while os.getppid() == parent:
-        time.sleep(PARENT_POLL_S)
-    os.kill(os.getpid(), signal_number)
-
-
-def die_with_supervisor(environ: Mapping[str, str]) -> None:
-    """Terminate this process when the supervisor that the environment names ends.
-
-    Raises:
-        SystemExit: It has ended already.
-    """
-    parent = environ.get(PARENT_PID_VARIABLE, "")
-    if not parent.isdigit():
-        return
-    die_with_parent(signal.SIGTERM, parent=int(parent))
 
 
 def set_resource_limits(limits: ResourceLimits) -> None:
@@ -140,39 +79,6 @@ def allow_cpu_time(seconds: int) -> None:
         return
     total_s = ceil(time.process_time()) + seconds
     resource.setrlimit(resource.RLIMIT_CPU, (total_s, resource.RLIM_INFINITY))
-
-
-M_ARENA_MAX = -8
-"""Number of the parameter in glibc's malloc.h."""
-MALLOC_ARENAS = 2
-
-
-def limit_malloc_arenas() -> bool:
-    """Let threads share two arenas of malloc; return whether they do. Call it before they start.
-
-    By default glibc has eight for each core, and an arena keeps what other threads have freed.
-    """
-    if sys.platform != "linux":
-        return False
-    library = ctypes.CDLL(None)
-    has_arenas = hasattr(library, "gnu_get_libc_version")
-    return has_arenas and bool(library.mallopt(M_ARENA_MAX, MALLOC_ARENAS))
-
-
-def read_resident_bytes() -> int:
-    """Read the resident memory of this process; 0 where there is no /proc."""
-    try:
-        return int(STATM.read_text(encoding="ascii").split()[1]) * mmap.PAGESIZE
-    except OSError:
-        return 0
-
-
-def trim_memory() -> bool:
-    """Give free memory of malloc back to the system; return whether there was any."""
-    if sys.platform != "linux":
-        return False
-    library = ctypes.CDLL(None)
-    return hasattr(library, "malloc_trim") and bool(library.malloc_trim(0))
 
 
 def limit_unacknowledged_time(port: int, milliseconds: int) -> bool:
@@ -212,11 +118,6 @@ def _open_listener(descriptor: int, port: int) -> socket.socket | None:
         pass
     opened.close()
     return None
-
-
-DEFAULT_FILE_LIMIT = 512
-"""Open files of a process where the system does not report its limit."""
-MAX_FILE_LIMIT = 1 << 16
 
 
 def raise_file_limit() -> int:

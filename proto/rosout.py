@@ -11,8 +11,8 @@ from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
 from zensim.proto.network_protocols import Stamp, TopicNetwork
 from zensim.proto.printable_text import printable_lines
-from zensim.proto.ros2.liveliness_tokens import Qos
 from zensim.proto.ros2.node_messages import LogLevel, RosoutLog
+from zensim.proto.ros2.qos_profiles import Qos
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint
 from zensim.proto.topic_endpoints import make_cache_key

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from zensim.proto.messages.drive_messages import Compat
 from zensim.proto.messages.model_messages import Sensor
-from zensim.proto.messages.sensor_messages import Environment, Noise
+from zensim.proto.messages.sensing_messages import Environment
+from zensim.proto.messages.sensor_messages import Noise
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 FloatArray = npt.NDArray[np.float64]

@@ -1,6 +1,6 @@
 """The control steps at which a sensor is due: a rule on the step alone, alike in every process."""
 
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 WHOLE_TOLERANCE = 1e-6

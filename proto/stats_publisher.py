@@ -12,7 +12,7 @@ import msgspec
 from zensim.proto.codec.message_codec import encode
 from zensim.proto.messages.process_messages import ProcessUsage
 from zensim.proto.network_protocols import AgentNetwork
-from zensim.proto.process_limits import read_resident_bytes
+from zensim.proto.process_memory import read_resident_bytes
 from zensim.proto.topic_catalog import TopicSpec
 
 

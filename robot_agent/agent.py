@@ -19,7 +19,7 @@ from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, e
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.process_messages import AgentStats
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.metric_families import (
     DurationHistogram,

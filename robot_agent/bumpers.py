@@ -5,13 +5,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from zensim.proto import keys
-from zensim.proto.codec import cdr
+from zensim.proto.codec import cdr, cdr_template
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.message_paths import HEADER_STAMP
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState, ContactState
 from zensim.proto.messages.model_messages import Sensor, Vec3
-from zensim.proto.messages.sensor_messages import Contacts, ContactSensor
+from zensim.proto.messages.sensing_messages import Contacts
+from zensim.proto.messages.sensor_messages import ContactSensor
 from zensim.proto.messages.standard_messages import Header, Vector3, Wrench, time_from_ns
 from zensim.proto.sensor_schedule import is_due
 from zensim.proto.topic_catalog import BUMPER_STATES
@@ -86,7 +87,7 @@ class Bumper:
         self._seen_step: int | None = None
         self._payload: bytes | None = None
         # Most robots touch nothing most of the time.
-        self._untouched = cdr.CdrTemplate(
+        self._untouched = cdr_template.CdrTemplate(
             self._make_message(0, []), numbers=(), stamps=HEADER_STAMP
         )
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import msgspec
 
 from zensim.proto import message_paths
-from zensim.proto.codec.cdr import CdrTemplate
+from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin

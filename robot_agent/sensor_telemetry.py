@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from zensim.proto.codec.cdr import CdrTemplate
+from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.message_paths import HEADER_STAMP
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.standard_messages import Header

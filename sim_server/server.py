@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.json_logs import CONTEXT
-from zensim.proto.process_limits import limit_malloc_arenas
+from zensim.proto.process_memory import limit_malloc_arenas
 from zensim.proto.program_status import SERVER_TURN_S, make_program_status
 from zensim.proto.rosout import LogCollector
 from zensim.sim_server.server_config import ServerConfig, validate_config

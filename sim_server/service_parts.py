@@ -9,7 +9,10 @@ import msgspec
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Quat
-from zensim.proto.messages.sensor_messages import Environment, SensorsReply
+from zensim.proto.messages.sensing_messages import (
+    Environment,
+    SensorsReply,
+)
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import ModelFiles
 from zensim.proto.messages.world_messages import WorldResource

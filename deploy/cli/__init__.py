@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.setting_variables import has_variables
 
 if TYPE_CHECKING:
@@ -342,7 +342,8 @@ def _run_plainly(arguments: Sequence[str]) -> bool:
 def _run_with_options(
     group: type[Options], run: Callable[[Options], None], words: Sequence[str]
 ) -> bool:
-    from zensim.proto.cli_options import name_group, parse_plain_options
+    from zensim.proto.options.option_groups import name_group
+    from zensim.proto.options.plain_options import parse_plain_options
     from zensim.proto.verbosity import CURRENT
 
     given = parse_plain_options(group, words, os.environ)

@@ -5,21 +5,20 @@ from typing import Annotated, get_args
 
 import typer
 
-from zensim.proto.cli_options import (
-    ConnectOption,
-    JsonOption,
-    RosTfOptions,
-    WorldNameOption,
-    expand_options,
-    flag,
-    make_app,
-    parse_choice,
-)
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    ConnectOption,
+    JsonOption,
+    RosTfOptions,
+    WorldNameOption,
+    flag,
+    parse_choice,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.verbosity import print_announcement
@@ -89,7 +88,6 @@ class AgentOptions(RosTfOptions):
   zensim agent r1 r2
   zensim agent --pool 0 --odom-hz 10"""
 )
-@expand_options
 def agent(given: AgentOptions) -> None:
     """Drive robots: subscribe to cmd_vel, publish odom and tf."""
     with exit_on_failure("agent"):

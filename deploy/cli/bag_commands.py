@@ -11,8 +11,12 @@ from zensim.deploy.cli.convert_commands import CONVERT_EXAMPLES, convert_command
 from zensim.deploy.cli.plot_commands import plot_command
 from zensim.deploy.cli.recording_options import TopicListCommand
 from zensim.deploy.cli.table_commands import export_command
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.bag_info import BagInfo, read_info
@@ -48,7 +52,6 @@ WALL_TIME_NS = 10**18
   zensim bag info run.mcap
   zensim bag info run --json""",
 )
-@expand_options
 def info_command(path: FileArgument, *, as_json: JsonOption = False) -> None:
     """Show files, times, topics and attachments, also of a recording that was never closed."""
     with exit_on_failure("bag info"):
@@ -95,7 +98,6 @@ def _format_time(time_ns: int) -> str:
   zensim bag recover run.mcap
   zensim bag recover run.mcap --output whole.mcap""",
 )
-@expand_options
 def recover_command(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="An .mcap file.")],
     *,

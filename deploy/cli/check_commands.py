@@ -28,16 +28,15 @@ from zensim.deploy.robot_checks import (
     run_checks,
     run_trial_process,
 )
-from zensim.proto.cli_options import (
-    AllowFailedEngineOption,
-    JsonOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.command_options import (
+    AllowFailedEngineOption,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.sim_server.physics.engine_config import (
@@ -123,7 +122,6 @@ class CheckOptions(DescriptionOptions):
   zensim check robot.urdf.xacro --xacro-arg sim:=true --engine both
   zensim check robots.json --junit check.xml"""
 )
-@expand_options
 def check(given: CheckOptions) -> None:
     """Spawn each robot alone, let it settle, drive it straight and turning, and print a table.
 

@@ -14,12 +14,12 @@ from rich.text import Text
 
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
-from zensim.proto.cli_options import ClientOptions, ConnectionOptions
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure, list_expected_failures
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.names import check_name
 from zensim.proto.near_names import name_choices
+from zensim.proto.options.command_options import ClientOptions, ConnectionOptions
 from zensim.proto.printable_text import print_lines, printable_lines
 from zensim.proto.topic_discovery import list_topics
 from zensim.proto.verbosity import configure_logging

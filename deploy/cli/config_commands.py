@@ -10,9 +10,12 @@ import typer
 from typer.main import get_command
 
 from zensim.deploy.cli.command_settings import add_settings, list_options
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
+from zensim.proto.options.command_options import (
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.setting_variables import CONFIG_VARIABLE
 
@@ -44,7 +47,6 @@ def config() -> None:
   ZENSIM_SERVE_RTF=2 zensim config show serve
   zensim config show sensors run""",
 )
-@expand_options
 def show(
     words: Annotated[
         list[str], typer.Argument(metavar="COMMAND...", help="Command, such as 'serve'.")

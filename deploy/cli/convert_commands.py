@@ -18,9 +18,13 @@ from zensim.deploy.cli.recording_options import (
     StorageProfileOption,
     find_span,
 )
-from zensim.proto.cli_options import JsonOption, expand_options, parse_choice
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.options.command_options import (
+    JsonOption,
+    parse_choice,
+)
+from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.byte_sizes import parse_size

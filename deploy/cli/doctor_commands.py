@@ -21,14 +21,6 @@ from zensim.proto import keys, service_catalog
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, JoinRefused, NoServer
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.cli_options import (
-    ConnectionOptions,
-    JsonOption,
-    RosDomainOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.endpoints import (
     DEFAULT_ENDPOINT,
     ENDPOINT_PATTERN,
@@ -44,6 +36,13 @@ from zensim.proto.messages.telemetry_messages import (
     InfoRequest,
 )
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+    RosDomainOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.sensor_libraries import find_advice, find_missing_libraries
 from zensim.spawner.client.service_client import ServiceClient
@@ -279,7 +278,6 @@ app = make_app()
   zensim doctor
   zensim doctor --ros nav2 box_bot0"""
 )
-@expand_options
 def doctor(
     robot: Annotated[
         str,

@@ -7,9 +7,13 @@ import msgspec
 import typer
 
 from zensim.deploy.local_runs import LocalRun, end_run, list_runs
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.options.command_options import (
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 
 app = make_app()
@@ -31,7 +35,6 @@ class StillRuns(Exception):
   zensim down --listen tcp/127.0.0.1:7448
   zensim down --all"""
 )
-@expand_options
 def down(
     *,
     listen: Annotated[

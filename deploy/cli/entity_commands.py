@@ -26,17 +26,16 @@ from zensim.deploy.cli.info_options import CATEGORIES, format_category, make_fil
 from zensim.deploy.cli.state_options import FrameOption
 from zensim.deploy.cli.terminal_output import print_report
 from zensim.proto.bus.bus_errors import NoServer
-from zensim.proto.cli_options import (
-    ClientOptions,
-    JsonOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, print_failure
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.spawner.client.sim_client import SimClient
@@ -107,7 +106,6 @@ class FilterOptions:
   zensim list --filter '^box_bot' --category robot --json
   zensim list --watch --every 1""",
 )
-@expand_options
 def list_entities(
     *,
     filtering: FilterOptions,
@@ -231,7 +229,6 @@ def _make_table(listing: EntityListing) -> Table:
 
 
 @app.command()
-@expand_options
 def inspect(
     name: EntityName,
     *,
@@ -323,7 +320,6 @@ class DeletionOutcome(msgspec.Struct, frozen=True):
   zensim delete --filter '^box_bot'
   zensim delete --all --yes"""
 )
-@expand_options
 def delete(
     names: Annotated[
         list[str] | None,

@@ -8,16 +8,15 @@ import typer
 
 from zensim.api.api_errors import Error
 from zensim.api.connections import connect
-from zensim.proto.cli_options import (
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
     ConnectOption,
     JsonOption,
     WorldNameOption,
-    expand_options,
     flag,
-    make_app,
 )
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
-from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.verbosity import print_announcement
 from zensim.scenario.scenario_reader import SUFFIXES
 from zensim.scenario.world_export import export
@@ -45,7 +44,6 @@ class ExportOptions:
   zensim export lab.scenario.yaml
   zensim up lab.scenario.yaml""",
 )
-@expand_options
 def export_running_world(given: ExportOptions) -> None:
     """Write the running world, with all that was spawned at its present pose, as a scenario."""
     with (

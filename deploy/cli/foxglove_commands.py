@@ -10,18 +10,17 @@ import typer
 
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
-from zensim.proto.cli_options import (
-    AccessOptions,
-    ConnectionOptions,
-    JsonOption,
-    RosDomainOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name, check_namespace
+from zensim.proto.options.access_options import AccessOptions
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+    RosDomainOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
 from zensim.proto.ros2.rmw_keys import parse_domain
@@ -78,7 +77,6 @@ class FoxgloveOptions(AccessOptions, ConnectionOptions):
   zensim foxglove --allow-control
   zensim foxglove --layout > zensim.foxglove.json"""
 )
-@expand_options
 def foxglove(given: FoxgloveOptions) -> None:
     """Serve the topics of a world to Foxglove, until Ctrl-C."""
     with exit_on_failure("foxglove", MissingFoxgloveExtra):

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import flag
 from zensim.proto.messages.entity_messages import (
     Category,
     EntityCategory,
@@ -15,6 +14,7 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
     TagsFilter,
 )
+from zensim.proto.options.command_options import flag
 from zensim.proto.printable_text import print_lines, printable
 from zensim.spawner.client.sim_client import SimClient
 

@@ -11,11 +11,9 @@ import msgspec
 import typer
 
 from zensim.deploy.cli.world_commands import app
-from zensim.proto.cli_options import (
-    JsonOption,
-    expand_options,
-)
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.command_options import JsonOption
+from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import USUAL_ENGINE, EngineChoice
 from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings

@@ -8,7 +8,6 @@ import typer
 
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
-from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import check_endpoint
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import (
@@ -18,6 +17,11 @@ from zensim.proto.join_tokens import (
     read_join_address,
     store_token,
 )
+from zensim.proto.options.command_options import (
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 
 STANDARD_INPUT = "-"
@@ -31,7 +35,6 @@ app = make_app()
   zensim list --connect tls/sim.example.org:7447
   zensim join --forget tls/sim.example.org:7447"""
 )
-@expand_options
 def join(
     *,
     token: Annotated[

@@ -7,8 +7,11 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.journal.sqlite_store import (
     DATABASE,
@@ -47,7 +50,6 @@ AcceptLossOption = Annotated[
   zensim journal export ./journal > journal.json
   zensim journal backup ./journal ./copy"""
 )
-@expand_options
 def journal(
     action: Annotated[
         JournalAction,

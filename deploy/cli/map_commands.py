@@ -7,10 +7,14 @@ import msgspec
 import typer
 
 from zensim.deploy.cli.command_session import data_console, open_client, print_json
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import OccupancyGrid
 from zensim.proto.messages.world_messages import GetMapRequest
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 
 app = make_app()
 
@@ -40,7 +44,6 @@ class MapFacts(msgspec.Struct, frozen=True):
   zensim map --output map.yaml
   ros2 run nav2_map_server map_server --ros-args -p yaml_filename:=map.yaml""",
 )
-@expand_options
 def write_map(
     *,
     output: Annotated[

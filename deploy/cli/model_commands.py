@@ -14,10 +14,13 @@ from zensim.deploy.cli.spawn_arguments import (
     parse_compat,
     read_local_description,
 )
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.options.command_options import (
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
@@ -46,7 +49,6 @@ class ModelOptions(DescriptionOptions):
   zensim model box_bot
   zensim model robot.urdf --strict --json"""
 )
-@expand_options
 def model(given: ModelOptions) -> None:
     """Parse a robot description and print links, joints, drive and report, without a server."""
     print_model(given)

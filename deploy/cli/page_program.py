@@ -17,8 +17,8 @@ from zensim.deploy.cli.view_commands import (
     open_world,
     serve_page,
 )
-from zensim.proto.cli_options import expand_options, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import configure_logging
 
@@ -49,7 +49,6 @@ class PageOptions(ViewOptions):
   zensim view --recording run.mcap --open
   zensim view --host 0.0.0.0 --port 9000 --secure --certificate page.pem --key page.key"""
 )
-@expand_options
 def view(given: PageOptions) -> None:
     """Serve a web page that shows the world in 3D, until Ctrl-C."""
     configure_logging()

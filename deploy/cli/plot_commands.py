@@ -9,8 +9,9 @@ import msgspec
 import typer
 
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
-from zensim.proto.cli_options import JsonOption, expand_options
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import JsonOption
+from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.message_series import MessageSeries, parse_series_choice, read_series

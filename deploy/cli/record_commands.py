@@ -26,18 +26,6 @@ from zensim.deploy.cli.recording_options import (
 )
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, open_bus, receive_in_one_thread
-from zensim.proto.cli_options import (
-    ConnectionOptions,
-    JsonOption,
-    LogFormatOption,
-    QuietOption,
-    RosDomainOption,
-    VerboseOption,
-    expand_options,
-    flag,
-    make_app,
-    parse_choice,
-)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
@@ -49,8 +37,19 @@ from zensim.proto.metric_families import (
     make_labelled,
 )
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+    LogFormatOption,
+    QuietOption,
+    RosDomainOption,
+    VerboseOption,
+    flag,
+    parse_choice,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
-from zensim.proto.process_limits import limit_malloc_arenas
+from zensim.proto.process_memory import limit_malloc_arenas
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
 from zensim.proto.served_status import served_status
@@ -257,7 +256,6 @@ class RecordOptions(ConnectionOptions):
   zensim record '*/odom' '*/scan' --output run --max-bag-size 500MB
   zensim record --all --snapshot-mode --snapshot-duration 20 --snapshot-on touched""",
 )
-@expand_options
 def record(given: RecordOptions) -> None:
     """Record topics to MCAP files, until Ctrl-C or for a duration."""
     record_topics(given)

@@ -28,18 +28,17 @@ from zensim.proto import keys
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import EndpointUnreachable
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.cli_options import (
+from zensim.proto.endpoints import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.options.command_options import (
     ConnectOption,
     JsonOption,
     RosOptions,
     WorldNameOption,
-    expand_options,
     flag,
-    make_app,
 )
-from zensim.proto.endpoints import DEFAULT_ENDPOINT
-from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.raw_terminal import NoTerminal, RawTerminal
 from zensim.proto.ros2.ros_graph import RosGraph
@@ -202,7 +201,6 @@ class ReplayOptions(RosOptions):
 Keys: space pauses, right publishes the next message, up and down change the rate by 10 %,
 left goes back 5 s.""",
 )
-@expand_options
 def replay(given: ReplayOptions) -> None:
     """Publish the messages of a recording again, with a clock, until its end."""
     with exit_on_failure("replay"):

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import msgspec
 import typer
 
-from zensim.proto.cli_options import (
-    AllowFailedEngineOption,
-    JsonOption,
-    expand_options,
-    flag,
-    make_app,
-    parse_finite,
-)
 from zensim.proto.codec.message_codec import Format, decode, make_encoding
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.standard_messages import NANOSECONDS, UInt8MultiArray
+from zensim.proto.options.command_options import (
+    AllowFailedEngineOption,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
+from zensim.proto.options.plain_options import parse_finite
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.setting import make_settings
@@ -90,7 +89,6 @@ class ResimOptions:
   zensim resim run.mcap --engine mujoco
   zensim resim run.mcap --gravity 0,0,-1.62 --json"""
 )
-@expand_options
 def resim(given: ResimOptions) -> None:
     """Run a recording again in the engine; status 1 unless all states are equal."""
     with exit_on_failure("resim", MissingServerExtra), server_extra():

@@ -8,9 +8,14 @@ import typer
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.bus.zenoh_config import to_zenoh_json
-from zensim.proto.cli_options import InsecureOption, JsonOption, expand_options, flag, make_app
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
+    InsecureOption,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import configure_logging, print_announcement
@@ -26,7 +31,6 @@ app = make_app()
   zensim router --listen tcp/0.0.0.0:7447 --insecure
   zensim router --print-config > router.json"""
 )
-@expand_options
 def router(
     *,
     listen: Annotated[

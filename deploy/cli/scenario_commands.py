@@ -8,8 +8,12 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.cli_options import JsonOption, SetOption, expand_options, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.command_options import (
+    JsonOption,
+    SetOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT
 from zensim.scenario.scenario_nodes import Issue, ScenarioInvalid
@@ -60,7 +64,6 @@ class ScenarioCheckOptions:
   zensim scenario check run.scenario.yaml
   zensim scenario check run.scenario.yaml --set robots.cart.count=8"""
 )
-@expand_options
 def check(given: ScenarioCheckOptions) -> None:
     """Read scenario files and print every mistake with file, line and column.
 
@@ -109,7 +112,6 @@ def _to_json(issue: Issue) -> dict[str, object]:
 
 
 @app.command()
-@expand_options
 def schema(*, as_json: JsonOption = False) -> None:
     """Print the JSON Schema of scenario files, for editors; with --json in one line."""
     text = format_schema()
@@ -117,7 +119,6 @@ def schema(*, as_json: JsonOption = False) -> None:
 
 
 @app.command(name="list")
-@expand_options
 def list_shipped(*, as_json: JsonOption = False) -> None:
     """List the shipped scenarios with their files."""
     files = {name: str(SHIPPED / name) + SUFFIXES[0] for name in list_shipped_scenarios()}

@@ -18,8 +18,12 @@ from zensim.deploy.cli.scenario_commands import (
 )
 from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
-from zensim.proto.cli_options import SetOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.command_options import (
+    SetOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.scenario.scenario_nodes import Issue
 from zensim.scenario.scenario_reader import (
@@ -77,7 +81,6 @@ class ScenarioTestOptions:
   zensim test scenarios --jobs 2 --junit report.xml
   zensim test first_minutes --set robots.bot.count=4 --repeat 2""",
 )
-@expand_options
 def test_scenarios(given: ScenarioTestOptions) -> None:
     """Run scenario files as fast as possible, and print the margin of each check.
 

@@ -10,18 +10,24 @@ from rich.table import Table
 from zensim.deploy.cli.command_session import open_client, print_json, print_table
 from zensim.proto import keys
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Sensor
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
+from zensim.proto.messages.sensing_messages import (
     Environment,
-    RaySensor,
     SensorFigures,
     SensorStats,
 )
+from zensim.proto.messages.sensor_messages import (
+    CameraSensor,
+    RaySensor,
+)
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+)
+from zensim.proto.options.option_groups import expand_options, make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.sensor_libraries import find_advice
 from zensim.proto.sensor_schedule import find_true_rate_hz
@@ -66,7 +72,6 @@ def sensors(context: typer.Context, *, as_json: JsonOption = False, server: Clie
 
 
 @app.command("list")
-@expand_options
 def list_sensors(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """List the sensors of all robots: topics, rates, subscribers, late measurements and cost."""
     _show("sensors list", server, as_json=as_json)

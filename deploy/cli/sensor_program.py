@@ -6,18 +6,18 @@ from typing import Annotated
 import typer
 
 from zensim.deploy.cli.sensor_commands import app
-from zensim.proto.cli_options import (
-    ConnectOption,
-    JsonOption,
-    RosOptions,
-    WorldNameOption,
-    expand_options,
-    flag,
-)
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    ConnectOption,
+    JsonOption,
+    RosOptions,
+    WorldNameOption,
+    flag,
+)
+from zensim.proto.options.option_groups import expand_options
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig

@@ -10,15 +10,6 @@ import typer
 
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.cli_options import (
-    JsonOption,
-    RosOptions,
-    expand_options,
-    flag,
-    is_exported_for_clients,
-    make_app,
-    takes_precedence,
-)
 from zensim.proto.endpoints import (
     check_exposure,
     to_client_endpoint,
@@ -26,6 +17,16 @@ from zensim.proto.endpoints import (
 )
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    JsonOption,
+    RosOptions,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
+from zensim.proto.options.option_sources import (
+    is_exported_for_clients,
+    takes_precedence,
+)
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
 from zensim.proto.settings.deployment_settings import USUAL
@@ -79,7 +80,6 @@ class ServeOptions(RosOptions):
   zensim serve --world warehouse --rtf 0 --paused
   zensim serve --secure --listen tls/0.0.0.0:7447 --journal ./journal"""
 )
-@expand_options
 def serve(context: typer.Context, given: ServeOptions) -> None:
     """Start a simulation server, until Ctrl-C."""
     configure_logging()

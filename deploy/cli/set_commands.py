@@ -10,8 +10,12 @@ from zensim.deploy.cli.info_options import (
     print_info,
 )
 from zensim.deploy.cli.state_options import NewStateOptions, change_state, format_state
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 
 app = make_app()
@@ -24,7 +28,6 @@ app = make_app()
   zensim set r1 --linear 0.2 0 0 --frame r2
   zensim set r1 --category robot --tag red --tag fast""",
 )
-@expand_options
 def set_entity(
     name: EntityName,
     *,

@@ -10,10 +10,15 @@ import typer
 
 from zensim.deploy.cli.command_session import open_client, print_json
 from zensim.deploy.cli.terminal_output import step_progress
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import expand_options, make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
@@ -25,7 +30,6 @@ MAX_SIM_TIME_S = 1e9
 
 
 @app.command()
-@expand_options
 def pause(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Pause the simulation."""
     with open_client("pause", server) as client:
@@ -33,7 +37,6 @@ def pause(*, as_json: JsonOption = False, server: ClientOptions) -> None:
 
 
 @app.command()
-@expand_options
 def play(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Start or resume the simulation."""
     with open_client("play", server) as client:
@@ -41,7 +44,6 @@ def play(*, as_json: JsonOption = False, server: ClientOptions) -> None:
 
 
 @app.command()
-@expand_options
 def stop(
     *,
     yes: Annotated[
@@ -91,7 +93,6 @@ def _set_state(client: SimClient, state: State, *, as_json: bool) -> None:
 
 
 @app.command()
-@expand_options
 def reset(
     *,
     time: Annotated[bool, flag("--time", help="Reset simulation time.")] = False,
@@ -116,7 +117,6 @@ def reset(
 
 
 @app.command()
-@expand_options
 def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """List the features of the server, by their names in simulation_interfaces."""
     with open_client("features", server) as client:
@@ -136,7 +136,6 @@ def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
 
 
 @app.command()
-@expand_options
 def stats(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Print what the server has counted since its start, and its times of the last second."""
     with open_client("stats", server) as client:
@@ -164,7 +163,6 @@ def _enum_name(kind: type[IntEnum], number: int) -> str:
 
 
 @app.command()
-@expand_options
 def step(
     steps: Annotated[int, typer.Argument(metavar="N", help="Number of steps.")] = 1,
     *,
@@ -178,7 +176,6 @@ def step(
 
 
 @app.command("run-to")
-@expand_options
 def run_to(
     time: Annotated[float, typer.Argument(metavar="TIME", help=r"Simulation time \[s].")],
     *,

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import msgspec
 import typer
 
-from zensim.proto.cli_options import (
-    ClientOptions,
-    JsonOption,
-    flag,
-    parse_choice,
-)
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import COMPATS
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Header, PoseStamped
 from zensim.proto.names import check_name, check_namespace
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+    flag,
+    parse_choice,
+)
 from zensim.proto.settings.path_completion import complete_models
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,

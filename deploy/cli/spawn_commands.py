@@ -22,7 +22,6 @@ from zensim.deploy.cli.spawn_arguments import (
 )
 from zensim.deploy.cli.terminal_output import print_report, upload_progress
 from zensim.proto import keys
-from zensim.proto.cli_options import expand_options, make_app
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import ExitCode, exit_on_failure, to_cli_words
 from zensim.proto.messages.model_messages import ReportEntry
@@ -33,6 +32,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
     SpawnEntityReport,
 )
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.verbosity import CURRENT, print_note
@@ -71,7 +71,6 @@ class SpawnPlan(msgspec.Struct, frozen=True):
   zensim spawn robot.urdf -x 2 -Y 1.57 --dry-run
   zensim spawn robot.urdf.xacro --xacro-arg arm:=true --package-path ~/ws/src"""
 )
-@expand_options
 def spawn(given: SpawnOptions) -> None:
     """Spawn one robot or object from a URDF, xacro or SDF description."""
     with exit_on_failure("spawn"):
@@ -192,7 +191,6 @@ def _hold_until_stopped(client: SimClient, entity: str) -> None:
   zensim fleet box_bot --robots 20 --layout grid
   zensim fleet robot.urdf --prefix cart --spacing 2 --partial"""
 )
-@expand_options
 def fleet(given: FleetOptions) -> None:
     """Spawn several robots of one model, in one step."""
     with exit_on_failure("fleet"):

@@ -27,8 +27,13 @@ from zensim.deploy.sweep.sweep_progress import SweepProgress
 from zensim.deploy.sweep.sweep_report import format_groups, group_rows
 from zensim.deploy.sweep.sweep_rows import SweepRow, find_unequal_repeats
 from zensim.deploy.sweep.sweep_runner import ATTEMPTS, Runner, run_here, run_sweep
-from zensim.proto.cli_options import JsonOption, SetOption, expand_options, flag
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.options.command_options import (
+    JsonOption,
+    SetOption,
+    flag,
+)
+from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.scenario.scenario_nodes import ScenarioInvalid

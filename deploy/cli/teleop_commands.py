@@ -9,14 +9,13 @@ import typer
 
 from zensim.deploy.cli.command_session import complete_robots, open_client
 from zensim.deploy.cli.driven_robots import find_problem, select_robots, wait_for_subscriber
-from zensim.proto.cli_options import (
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
+from zensim.proto.options.command_options import (
     ConnectionOptions,
     JsonOption,
-    expand_options,
-    make_app,
     parse_choice,
 )
-from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.raw_terminal import RawTerminal, open_signals
 from zensim.proto.topic_catalog import CMD_VEL
@@ -99,7 +98,6 @@ class TeleopOptions(ConnectionOptions):
   zensim teleop 'r*' --speed 0.3
   zensim teleop r1 --gamepad /dev/input/js0 --enable-button 5 --focus-loss ignore"""
 )
-@expand_options
 def teleop(given: TeleopOptions) -> None:
     """Drive robots by keyboard and gamepad; Ctrl-C stops them and ends."""
     with open_client("teleop", given) as client:

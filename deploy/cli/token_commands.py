@@ -11,9 +11,13 @@ import typer
 
 from zensim.proto.bus.bus_config import BusConfig, Credentials
 from zensim.proto.bus.zenoh_config import list_client_settings
-from zensim.proto.cli_options import JsonOption, WorldNameOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import JoinToken
+from zensim.proto.options.command_options import (
+    JsonOption,
+    WorldNameOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, RefusedUser, User
 from zensim.proto.verbosity import print_note
@@ -88,7 +92,6 @@ class CreateOptions:
   zensim token create --role agent --robot r1 --ttl 1h
   zensim token create --role observer --name anna"""
 )
-@expand_options
 def create(given: CreateOptions) -> None:
     """Create a user, and print its token. Sessions are interrupted for about two seconds."""
     with exit_on_failure("token create"):
@@ -108,7 +111,6 @@ def create(given: CreateOptions) -> None:
     epilog="""Examples:
   zensim token list""",
 )
-@expand_options
 def list_users(*, world_name: WorldNameOption = "default", as_json: JsonOption = False) -> None:
     """List the users: role, robots and end; no secrets."""
     with exit_on_failure("token list"):
@@ -125,7 +127,6 @@ def list_users(*, world_name: WorldNameOption = "default", as_json: JsonOption =
     epilog="""Examples:
   zensim token revoke r1"""
 )
-@expand_options
 def revoke(
     *, user: UserArgument, world_name: WorldNameOption = "default", as_json: JsonOption = False
 ) -> None:
@@ -143,7 +144,6 @@ def revoke(
   zensim token show r1
   zensim token show observer --as zenoh-config > session.json5"""
 )
-@expand_options
 def show(
     *,
     user: UserArgument,

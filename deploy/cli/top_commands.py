@@ -14,8 +14,13 @@ from rich.text import Text
 
 from zensim.deploy.cli.command_session import data_console, open_client, print_json, print_table
 from zensim.proto.bus.bus_errors import NoServer
-from zensim.proto.cli_options import ClientOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines, printable
 from zensim.proto.verbosity import CURRENT
 from zensim.spawner.top.fleet_figures import (
@@ -87,7 +92,6 @@ class TopOptions(ClientOptions):
   zensim top --once --filter r1
   zensim top --json | jq '.processes[] | {name, cpu}'"""
 )
-@expand_options
 def top(given: TopOptions) -> None:
     """Show robots and processes of a world: rates, real-time factor, CPU time and memory."""
     with open_client("top", given) as client, exit_on_failure("top", MissingTopExtra):

@@ -21,7 +21,6 @@ from zensim.deploy.cli.command_session import (
 from zensim.deploy.cli.driven_robots import await_driver
 from zensim.deploy.cli.topic_search import ABSENCE_TIMEOUT_S, note_absence
 from zensim.proto.bus.bus_session import Bus, BusPublisher, BusSubscription
-from zensim.proto.cli_options import ConnectionOptions, JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -33,6 +32,12 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.network_protocols import Sample
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
@@ -177,7 +182,6 @@ class MeasureOptions(ConnectionOptions):
   zensim drive r1 0.2 0.5
   zensim drive r1 0.2 --duration 3""",
 )
-@expand_options
 def drive(
     robot: Annotated[
         str,
@@ -237,7 +241,6 @@ def publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, co
   zensim echo r1/odom --once
   zensim echo '*/odom' --json --timeout 5"""
 )
-@expand_options
 def echo(
     key: KeyArgument,
     *,
@@ -318,7 +321,6 @@ def _print_sample(sample: Sample, *, as_json: bool) -> None:
     epilog="""Example:
   zensim hz r1/odom --duration 10"""
 )
-@expand_options
 def hz(given: MeasureOptions) -> None:
     """Measure the message rate of a topic, and print it every second."""
     arrivals: list[float] = []

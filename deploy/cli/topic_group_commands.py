@@ -24,15 +24,6 @@ from zensim.deploy.cli.topic_commands import (
 from zensim.deploy.cli.topic_search import advise_topic, find_topics
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.cli_options import (
-    ClientOptions,
-    ConnectionOptions,
-    JsonOption,
-    VerboseOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -46,6 +37,14 @@ from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.network_protocols import Sample
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    ConnectionOptions,
+    JsonOption,
+    VerboseOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
 from zensim.proto.topic_discovery import TopicEndpoint
@@ -71,7 +70,6 @@ class NoSuchTopic(BusError):
   zensim topic list
   zensim topic list odom --json""",
 )
-@expand_options
 def list_command(
     part: Annotated[
         str, typer.Argument(metavar="PART", help="Only topics whose name contains this.")
@@ -98,7 +96,6 @@ def list_command(
 
 
 @app.command("info")
-@expand_options
 def info_command(
     key: KeyArgument,
     *,
@@ -137,7 +134,6 @@ class BandwidthOptions(MeasureOptions):
     epilog="""Example:
   zensim topic bw r1/scan --duration 10"""
 )
-@expand_options
 def bw(given: BandwidthOptions) -> None:
     """Measure the bandwidth of a topic, and print it every second."""
     arrivals: list[tuple[float, int]] = []
@@ -179,7 +175,6 @@ def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> Non
     epilog="""Example:
   zensim topic delay r1/odom --duration 10"""
 )
-@expand_options
 def delay(given: MeasureOptions) -> None:
     """Measure how old the stamps of a topic are on arrival, in simulation time.
 
@@ -242,7 +237,6 @@ def _print_delays(delays: list[float], *, as_json: bool) -> None:
   zensim topic pub --once r1/cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.2}}'
   zensim topic pub -r 10 r1/cmd_vel '{linear: {x: 0.2}}'"""
 )
-@expand_options
 def pub(
     key: KeyArgument,
     message_type: Annotated[

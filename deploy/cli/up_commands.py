@@ -45,18 +45,17 @@ from zensim.deploy.cli.spawn_arguments import (
 from zensim.deploy.cli.view_commands import MissingViewerExtra, check_page
 from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, MovingBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
-from zensim.proto.cli_options import (
-    RosTfOptions,
-    SetOption,
-    expand_options,
-    is_exported_for_clients,
-    make_app,
-    parse_choice,
-)
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    RosTfOptions,
+    SetOption,
+    parse_choice,
+)
+from zensim.proto.options.option_groups import make_app
+from zensim.proto.options.option_sources import is_exported_for_clients
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.setting_variables import name_variable
@@ -149,7 +148,6 @@ class UpOptions(RosTfOptions, ServeOptions):
   zensim up --robots 100 --agents pooled --layout grid --no-viewer
   zensim up --model robot.urdf --world warehouse --rtf 0 --duration 60"""
 )
-@expand_options
 def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()

@@ -12,15 +12,14 @@ import typer
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
-from zensim.proto.cli_options import (
-    ConnectionOptions,
-    JsonOption,
-    expand_options,
-    make_app,
-)
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_file_limit
 from zensim.proto.stop_signal import StopFlag
@@ -92,7 +91,6 @@ class VdaOptions(ConnectionOptions):
   zensim vda5050 --broker mqtt://127.0.0.1:1883
   zensim vda5050 --standard 3.0 --robots 'amr*' --avoid stop --state vehicles.db"""
 )
-@expand_options
 def vda5050(given: VdaOptions) -> None:
     """Serve the robots of a world as vehicles of VDA 5050 to a fleet manager, until Ctrl-C."""
     with exit_on_failure("vda5050", MissingVdaExtra):

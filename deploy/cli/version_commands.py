@@ -4,7 +4,10 @@ import platform
 import sys
 
 from zensim.deploy.cli.command_session import print_json
-from zensim.proto.cli_options import JsonOption, expand_options, make_app
+from zensim.proto.options.command_options import (
+    JsonOption,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import EngineChoice
@@ -18,7 +21,6 @@ app = make_app()
 
 
 @app.command("version")
-@expand_options
 def print_versions(*, as_json: JsonOption = False) -> None:
     """Print the versions of zensim, Python, and the libraries that zensim uses."""
     versions = find_reported_versions()

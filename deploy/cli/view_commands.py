@@ -14,13 +14,18 @@ import typer
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.cli_options import AccessOptions, ConnectionOptions, JsonOption, flag
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, is_port_taken
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.names import check_name
 from zensim.proto.network_protocols import FollowingNetwork
+from zensim.proto.options.access_options import AccessOptions
+from zensim.proto.options.command_options import (
+    ConnectionOptions,
+    JsonOption,
+    flag,
+)
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
 from zensim.proto.security.roles import ROLES

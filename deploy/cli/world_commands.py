@@ -18,18 +18,17 @@ from zensim.deploy.cli.command_session import (
 )
 from zensim.deploy.cli.terminal_output import print_report
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.cli_options import (
-    ClientOptions,
-    JsonOption,
-    TimeoutOption,
-    expand_options,
-    flag,
-    make_app,
-)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import MAX_REQUEST_BYTES
+from zensim.proto.options.command_options import (
+    ClientOptions,
+    JsonOption,
+    TimeoutOption,
+    flag,
+)
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.path_completion import WORLD_SUFFIXES
 from zensim.proto.verbosity import CURRENT
@@ -51,7 +50,6 @@ class LoadClientOptions(ClientOptions):
   zensim world load warehouse
   zensim world load ./my_world.sdf --strict""",
 )
-@expand_options
 def load_world(
     world: Annotated[
         str,
@@ -103,7 +101,6 @@ def _read_world_file(word: str) -> str:
 
 
 @app.command("list")
-@expand_options
 def list_worlds(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """List the worlds that the server can load."""
     with open_client("world list", server) as client:
@@ -117,7 +114,6 @@ def list_worlds(*, as_json: JsonOption = False, server: ClientOptions) -> None:
 
 
 @app.command("current")
-@expand_options
 def current_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Print the name of the current world."""
     with open_client("world current", server) as client:
@@ -129,7 +125,6 @@ def current_world(*, as_json: JsonOption = False, server: ClientOptions) -> None
 
 
 @app.command("poses")
-@expand_options
 def named_poses(
     *,
     tag: Annotated[
@@ -154,7 +149,6 @@ def named_poses(
 
 
 @app.command("unload")
-@expand_options
 def unload_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """Unload the current world, and delete all entities."""
     with open_client("world unload", server) as client:

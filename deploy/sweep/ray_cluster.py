@@ -14,7 +14,7 @@ from pathlib import Path
 from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, read_file, read_text_file
 from zensim.proto.child_process import end_processes, make_module_command, start_process
 from zensim.proto.endpoints import reserve_port
-from zensim.proto.process_limits import die_with_parent
+from zensim.proto.parent_death import die_with_parent
 
 AUTHENTICATION_VARIABLE, TOKEN_VARIABLE = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN"
 USAGE_VARIABLE = "RAY_USAGE_STATS_ENABLED"

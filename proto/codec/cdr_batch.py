@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.codec.cdr import NANOSECONDS_PER_SECOND, encode
+from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_layout import HEADER_BYTES, find_offsets
+from zensim.proto.codec.cdr_template import NANOSECONDS_PER_SECOND
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

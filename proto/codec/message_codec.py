@@ -8,7 +8,7 @@ from typing import TypeVar, cast
 import msgspec
 
 from zensim.proto.codec import cdr
-from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 
 __all__ = [
     "Format",

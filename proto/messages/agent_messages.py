@@ -5,13 +5,13 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages.drive_messages import Actuator
 from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensing_messages import Environment
 
 STATE_COLUMNS = 13
 """Position x y z, quaternion x y z w, linear x y z, angular x y z: all in the world frame."""

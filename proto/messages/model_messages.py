@@ -11,50 +11,10 @@ import msgspec
 from zensim.proto.messages.drive_messages import (
     Actuator,
     Compat,
-    DiffDrive,
     Drive,
     RosBlock,
-    WheelPair,
 )
 from zensim.proto.messages.sensor_messages import SensorSettings, SensorTopic
-
-__all__ = [
-    "IDENTITY",
-    "ZERO",
-    "Actuator",
-    "CommandInterface",
-    "CommandKind",
-    "Contact",
-    "Decay",
-    "DiffDrive",
-    "Drive",
-    "Dynamics",
-    "Frame",
-    "GroundTruth",
-    "Inertial",
-    "Joint",
-    "JointController",
-    "JointKind",
-    "JointStatePublisher",
-    "Light",
-    "LightKind",
-    "Link",
-    "Mimic",
-    "Model",
-    "Origin",
-    "Parameter",
-    "PositionTolerance",
-    "Quat",
-    "ReportEntry",
-    "ReportStatus",
-    "RosBlock",
-    "Sensor",
-    "Shape",
-    "Texture",
-    "TierName",
-    "Vec3",
-    "WheelPair",
-]
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -64,6 +24,18 @@ IDENTITY: Quat = (0.0, 0.0, 0.0, 1.0)
 
 ReportStatus = Literal["applied", "ignored", "unknown", "predicted", "suspicious"]
 """predicted: what the robot will do that was not commanded."""
+LightKind = Literal["point", "spot", "directional"]
+DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
+Dynamics = Literal["", "full", "kinematic", "auto"]
+"""How an entity moves: by forces and contacts; as its drive computes, stopped by obstacles; or
+either, chosen by the server. Empty = default of the world.
+"""
+TierName = Literal["full", "kinematic"]
+"""How an entity moves now."""
+JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
+CommandKind = Literal["velocity", "position", "effort"]
+DEFAULT_STOPPED_VELOCITY = 0.01
+"""Velocity below which a joint counts as stopped at the end of a trajectory [rad/s or m/s]."""
 
 
 class ReportEntry(msgspec.Struct, frozen=True, gc=False):
@@ -133,10 +105,6 @@ class Shape(msgspec.Struct, frozen=True, gc=False):
     """Texture of a visual."""
 
 
-LightKind = Literal["point", "spot", "directional"]
-DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
-
-
 class Light(msgspec.Struct, frozen=True, gc=False):
     """A light; pose and direction are in the frame of its owner, a link or the world.
 
@@ -193,17 +161,6 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     lights: tuple[Light, ...] = ()
 
 
-Dynamics = Literal["", "full", "kinematic", "auto"]
-"""How an entity moves: by forces and contacts; as its drive computes, stopped by obstacles; or
-either, chosen by the server. Empty = default of the world.
-"""
-
-TierName = Literal["full", "kinematic"]
-"""How an entity moves now."""
-
-JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
-
-
 class Mimic(msgspec.Struct, frozen=True, gc=False):
     """Coupling to another joint: position = multiplier * other position + offset [rad or m]."""
 
@@ -234,11 +191,6 @@ class Joint(msgspec.Struct, frozen=True, gc=False):
     """[rad or m]."""
     motor_factor: float = 1.0
     """Share of the torque of its motor that is left; smaller during a fault."""
-
-
-CommandKind = Literal["velocity", "position", "effort"]
-DEFAULT_STOPPED_VELOCITY = 0.01
-"""Velocity below which a joint counts as stopped at the end of a trajectory [rad/s or m/s]."""
 
 
 class CommandInterface(msgspec.Struct, frozen=True, gc=False):

@@ -9,7 +9,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.process_messages import ProcessUsage
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt32, UInt64
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.standard_messages import Clock, Pose
 from zensim.proto.messages.world_messages import Scene
 

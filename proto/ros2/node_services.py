@@ -12,7 +12,6 @@ import msgspec
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.network_protocols import Query, QueryQueue, TopicNetwork
 from zensim.proto.ros2 import node_messages as messages
-from zensim.proto.ros2.liveliness_tokens import Qos
 from zensim.proto.ros2.node_messages import (
     PARAMETER_SERVICES,
     TYPE_SERVICES,
@@ -21,6 +20,7 @@ from zensim.proto.ros2.node_messages import (
     ParameterValue,
     SetParameterResult,
 )
+from zensim.proto.ros2.qos_profiles import Qos
 from zensim.proto.ros2.rmw_attachment import answer_attachment
 from zensim.proto.ros2.rmw_keys import NO_HASH, parse_data_key
 from zensim.proto.ros2.ros_graph import RosNode

@@ -8,16 +8,18 @@ import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.network_protocols import Closable, TokenQueue, TokenSession
-from zensim.proto.ros2 import liveliness_tokens, rmw_keys
+from zensim.proto.ros2 import bridge_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
-    RELIABLE_10,
     EndpointKind,
     GraphEndpoint,
     GraphNode,
-    Qos,
     gid_from_token,
     make_endpoint_token,
     make_node_token,
+)
+from zensim.proto.ros2.qos_profiles import (
+    RELIABLE_10,
+    Qos,
 )
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import hash_type
@@ -73,9 +75,7 @@ class RosGraph:
         self._groups = [NodeGroup(session, self.zid)]
         self._queue: TokenQueue | None = None
         self._bridge = (
-            session.token(liveliness_tokens.make_bridge_token(self.zid))
-            if self._is_bridged
-            else None
+            session.token(bridge_tokens.make_bridge_token(self.zid)) if self._is_bridged else None
         )
 
     @property
@@ -323,10 +323,10 @@ class RosNode:
     def announce_action(self, key: str, ros_type: str) -> None:
         """Announce an action to a bridge, which sees no single services and topics of it."""
         if self.graph.settings.is_bridged:
-            route = liveliness_tokens.BridgeRoute(
+            route = bridge_tokens.BridgeRoute(
                 zid=self.graph.zid, kind="AS", key=key, ros_type=ros_type
             )
-            self._declare(liveliness_tokens.make_route_token(route))
+            self._declare(bridge_tokens.make_route_token(route))
 
     def close(self) -> None:
         """Undeclare all tokens, that of the node last; further calls do nothing."""
@@ -359,8 +359,8 @@ def gid_from_endpoint(endpoint: GraphEndpoint) -> bytes:
 
 def _make_route_token(endpoint: GraphEndpoint, key: str, zid: str) -> str:
     qos = endpoint.qos
-    return liveliness_tokens.make_route_token(
-        liveliness_tokens.BridgeRoute(
+    return bridge_tokens.make_route_token(
+        bridge_tokens.BridgeRoute(
             zid=zid,
             kind=endpoint.kind,
             key=key or endpoint.name.strip("/"),

@@ -8,7 +8,7 @@ from zensim.proto import keys
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.model_messages import Origin
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.tf_joints import list_published_joints
 from zensim.robot_agent.mounted_sensors import MountedSensor, mount_sensors
 from zensim.robot_agent.robot_frames import (

@@ -10,10 +10,10 @@ import msgspec
 
 from zensim.proto.child_process import STDIN, read_frame, reserve_stdout, write_frame
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.parent_death import die_with_parent
 from zensim.proto.process_limits import (
     ResourceLimits,
     allow_cpu_time,
-    die_with_parent,
     set_resource_limits,
 )
 from zensim.sim_server.description.unused_modules import leave_out_unused_modules

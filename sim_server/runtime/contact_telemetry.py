@@ -9,7 +9,8 @@ import numpy as np
 
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import Model, Sensor
-from zensim.proto.messages.sensor_messages import Contacts, ContactSensor
+from zensim.proto.messages.sensing_messages import Contacts
+from zensim.proto.messages.sensor_messages import ContactSensor
 from zensim.proto.se3 import FloatArray, invert, transform_points
 from zensim.sim_server.physics.engine import ContactPoints, IntArray
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR

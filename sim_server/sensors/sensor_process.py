@@ -17,13 +17,15 @@ from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.json_logs import CONTEXT
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    RaySensor,
+from zensim.proto.messages.sensing_messages import (
     SceneState,
     SensorFigures,
     SensorsReply,
     SensorStats,
+)
+from zensim.proto.messages.sensor_messages import (
+    CameraSensor,
+    RaySensor,
 )
 from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample

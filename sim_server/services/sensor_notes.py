@@ -5,9 +5,9 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model, Origin, ReportEntry, Sensor
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.sensor_messages import (
     CameraSensor,
-    Environment,
     NavsatSensor,
     RaySensor,
 )

@@ -5,7 +5,7 @@ from importlib.metadata import version
 
 import msgspec
 
-from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages import simulation_messages, telemetry_messages
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode

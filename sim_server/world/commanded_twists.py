@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.world.entity import EntityIndex, IntArray

@@ -21,7 +21,7 @@ import numpy as np
 from zensim.proto.bounded_files import read_file
 from zensim.proto.child_process import make_module_command, reserve_stdout, run_process
 from zensim.proto.messages.model_messages import ReportEntry, Vec3
-from zensim.proto.process_limits import die_with_parent
+from zensim.proto.parent_death import die_with_parent
 from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.setting import make_settings, read_settings

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.bounded_files import FileTooLarge, NotRegularFile, read_text_file
-from zensim.proto.process_limits import die_with_parent
+from zensim.proto.parent_death import die_with_parent
 from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world

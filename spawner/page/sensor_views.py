@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Model, Origin
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.standard_messages import Image, LaserScan, PointCloud2
 from zensim.proto.rigid_transforms import OPTICAL_AXES, compose
 from zensim.proto.se3 import FloatArray

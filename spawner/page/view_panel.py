@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from zensim.proto.codec.message_codec import MalformedPayload
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.spawner.page.floor_picking import PointCallback
 from zensim.spawner.page.instance_updates import MOVED, place_node
 from zensim.spawner.page.label_visibility import CameraView, choose_readable

@@ -9,7 +9,7 @@ import numpy as np
 
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
-from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.sensing_messages import SensorStats
 from zensim.proto.messages.telemetry_messages import (
     AgentCommands,
     GetModelsResponse,

@@ -14,7 +14,7 @@ import msgspec
 from zensim.proto.bus.bus_session import Bus, BusSubscription
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
-from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.sensing_messages import SensorStats
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats
 from zensim.proto.stats_publisher import read_host_name
 from zensim.proto.topic_catalog import AGENT_STATS, ODOM, SENSOR_STATS, SNAPSHOT, STATS, TopicSpec

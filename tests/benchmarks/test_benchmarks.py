@@ -10,7 +10,7 @@ from benchmarks.__main__ import PAGE
 from benchmarks.benchmark_report import NAMES, Section, measure
 from benchmarks.document_command import Document
 from benchmarks.machine import ROOT, Work, others_cores
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 
 def run(*arguments: str) -> "subprocess.CompletedProcess[str]":

@@ -17,7 +17,7 @@ from benchmarks.figures import Figure, Limit
 from zensim.proto import keys
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 ROUNDS, ROUNDS_WHEN_SHORT = 1000, 3
 START_TIMEOUT_S, HANG_S = 60.0, 30.0
@@ -26,7 +26,7 @@ SLOW = 0.01
 """Speed of a robot that stands [m/s]."""
 SCRIPT = """
 import os, sys, zensim
-from zensim.proto.process_limits import die_with_supervisor
+from zensim.proto.parent_death import die_with_supervisor
 die_with_supervisor(os.environ)
 sim = zensim.connect(sys.argv[1], timeout_s=60.0)
 sim.spawn("box_bot", name="own", bond=True, x=3.0, timeout_s=60.0)

@@ -25,7 +25,7 @@ from zensim.proto.bus.session_files import find_max_sessions
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.world_messages import LoadWorldRequest
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 from zensim.proto.service_catalog import LOAD_WORLD
 
 HELD, HELD_WHEN_SHORT = 1000, 30

@@ -30,8 +30,8 @@ def refuse_proc(event, arguments):
 sys.addaudithook(refuse_proc)
 """
 NO_PRCTL = """
-import zensim.proto.process_limits
-zensim.proto.process_limits._find_prctl = lambda: None
+import zensim.proto.parent_death
+zensim.proto.parent_death._find_prctl = lambda: None
 """
 NO_SIGNALS = """
 for name in ("SIGKILL", "SIGXCPU", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM"):

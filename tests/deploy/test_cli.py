@@ -24,8 +24,9 @@ from tests.integration.processes import free_endpoint, run_in_process, zensim
 from zensim.deploy.cli import VERBS, build
 from zensim.deploy.cli.model_commands import ModelOptions
 from zensim.deploy.cli.record_commands import RecordOptions
-from zensim.proto.cli_options import expand_options, make_app, parse_plain_options
 from zensim.proto.exit_codes import ExitCode
+from zensim.proto.options.option_groups import expand_options, make_app
+from zensim.proto.options.plain_options import parse_plain_options
 
 RUNNER = CliRunner()
 SOON_S = 60.0

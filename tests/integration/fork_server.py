@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO
 
 from tests.contract.repository import ROOT
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 PRELOADED = (
     *("zensim.deploy.cli", "zensim.deploy.cli.serve_commands", "zensim.sim_server.server"),

@@ -23,7 +23,7 @@ from zensim.deploy.cli import build
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, NoServer
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 
 T = TypeVar("T")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tests.integration.processes import command_line, end, eventually
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 WITHIN_S = 20.0
 

@@ -17,7 +17,7 @@ from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, BusQuery, BusQueryQueue, open_bus
 from zensim.proto.bus.zenoh_config import to_zenoh_json
 from zensim.proto.messages.standard_messages import String
-from zensim.proto.ros2.liveliness_tokens import LATCHED
+from zensim.proto.ros2.qos_profiles import LATCHED
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.topic_endpoints import TopicFactory

@@ -40,7 +40,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.drive_messages import AckermannDrive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.replay_messages import ReplayRequest
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
     RunToRequest,

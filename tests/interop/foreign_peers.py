@@ -23,7 +23,7 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.interop.peer_build import build_peers, build_router, has_router
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 
 JAZZY, HUMBLE = "jazzy", "humble"

@@ -16,7 +16,7 @@ from tests.interop.foreign_peers import MARGIN_S
 from tests.interop.ros_build import find_bridge, find_ros_python, prepare_ros
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntitiesOrder, SpawnEntity
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 
 FIRST_DOMAIN, DOMAINS = 40, 60
 """Domains of DDS whose ports are below those of clients."""

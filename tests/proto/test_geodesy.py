@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from zensim.proto.geodesy import WorldGeodesy, from_earth_centred, to_earth_centred
-from zensim.proto.messages.sensor_messages import SphericalCoordinates
+from zensim.proto.messages.sensing_messages import SphericalCoordinates
 
 MUNICH = SphericalCoordinates(48.137, 11.575, 520.0)
 PLACES = [

@@ -13,8 +13,11 @@ import pytest
 
 from tests.integration.processes import eventually
 from zensim.proto.child_process import end_processes
+from zensim.proto.parent_death import (
+    PARENT_PID_VARIABLE,
+    set_subreaper,
+)
 from zensim.proto.process_copies import AdoptedProcess
-from zensim.proto.process_limits import PARENT_PID_VARIABLE, set_subreaper
 
 ENDS_S = 40.0
 COPY = """

@@ -11,101 +11,10 @@ import psutil
 import pytest
 
 from tests.contract.repository import ROOT
-from tests.integration.processes import eventually, kill
 from zensim.proto.process_limits import (
-    MALLOC_ARENAS,
-    PARENT_PID_VARIABLE,
-    die_with_supervisor,
     limit_unacknowledged_time,
     set_niceness,
 )
-
-CHILD = """
-import os, time
-from zensim.proto.process_limits import die_with_supervisor
-die_with_supervisor(os.environ)
-print(os.getpid(), flush=True)
-time.sleep(600)
-"""
-SUPERVISOR = f"""
-import os, subprocess, sys, time
-environment = {{**os.environ, "{PARENT_PID_VARIABLE}": str(os.getpid())}}
-subprocess.Popen([sys.executable, "-c", {CHILD!r}], env=environment, start_new_session=True)
-time.sleep(600)
-"""
-
-
-def run_child(parent: str) -> "subprocess.CompletedProcess[str]":
-    """Run a child that does not sleep, under a parent's name."""
-    return subprocess.run(
-        [sys.executable, "-c", CHILD.replace("time.sleep(600)", "")],
-        env={**os.environ, PARENT_PID_VARIABLE: parent},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-
-def test_program_ends_when_its_supervisor_is_killed() -> None:
-    supervisor = subprocess.Popen(
-        [sys.executable, "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True, cwd=ROOT
-    )
-    assert supervisor.stdout is not None
-    child = int(supervisor.stdout.readline())
-    try:
-        supervisor.kill()
-        supervisor.wait()
-
-        eventually(lambda: not psutil.pid_exists(child), 5.0, "the child's end")
-    finally:
-        supervisor.stdout.close()
-        kill(child, signal.SIGKILL)
-
-
-def test_program_does_not_begin_when_its_supervisor_has_gone_already() -> None:
-    done = run_child("999999999")
-
-    assert (done.returncode, done.stdout) == (1, "")
-    assert PARENT_PID_VARIABLE in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-
-
-def test_program_begins_under_its_supervisor() -> None:
-    done = run_child(str(os.getpid()))
-
-    assert done.returncode == 0
-    assert done.stdout.strip().isdigit()
-
-
-@pytest.mark.parametrize("parent", ["", "abc", "-1"])
-def test_program_without_a_supervisor_begins(parent: str) -> None:
-    die_with_supervisor({PARENT_PID_VARIABLE: parent})
-    die_with_supervisor({})
-
-
-ORPHAN = """
-import sys
-from zensim.proto.process_limits import die_with_parent
-die_with_parent(parent=int(sys.argv[1]))
-print("begun")
-"""
-
-
-@pytest.mark.parametrize("is_there", [True, False])
-def test_process_ends_at_once_when_its_parent_has_gone_already(*, is_there: bool) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ORPHAN, str(os.getpid() if is_there else 999999999)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-    assert (done.returncode, done.stdout.strip()) == ((0, "begun") if is_there else (1, ""))
-
 
 LIMITED = """
 import resource as r
@@ -221,21 +130,6 @@ def test_limit_of_open_files_is_raised_as_far_as_allowed() -> None:
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
 
     assert done.stdout.split() == ["512", "512", "512"]
-
-
-def test_threads_share_arenas_of_malloc() -> None:
-    script = (
-        "import ctypes, threading; from zensim.proto import process_limits as limits\n"
-        "limits.limit_malloc_arenas(); barrier = threading.Barrier(9); libc = ctypes.CDLL(None)\n"
-        "libc.malloc.restype = ctypes.c_void_p\n"
-        "def work(): libc.malloc(1000); barrier.wait()\n"
-        "[threading.Thread(target=work).start() for _ in range(8)]; barrier.wait()\n"
-        "libc.malloc_stats()"
-    )
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-
-    assert 1 <= done.stderr.count("Arena ") <= MALLOC_ARENAS
 
 
 def test_accepted_connections_are_reset_when_their_peer_takes_no_data() -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from zensim.proto.messages.model_messages import Sensor
-from zensim.proto.messages.sensor_messages import Environment, Noise
+from zensim.proto.messages.sensing_messages import Environment
+from zensim.proto.messages.sensor_messages import Noise
 from zensim.proto.sensor_noise import (
     DYNAMIC_BIAS,
     DynamicBiases,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.messages.sensor_messages import Environment
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.sensor_schedule import find_true_rate_hz, is_due
 
 AT_240_HZ = Environment(step_ns=4166667, control_steps=3)

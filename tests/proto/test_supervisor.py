@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.proto.process_limits import PARENT_PID_VARIABLE
+from zensim.proto.parent_death import PARENT_PID_VARIABLE
 from zensim.proto.supervisor import (
     MAX_RESTARTS,
     STEADY_S,

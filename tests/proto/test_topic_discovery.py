@@ -1,6 +1,7 @@
 """Topics by what programs announce."""
 
-from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint, Qos
+from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
+from zensim.proto.ros2.qos_profiles import Qos
 from zensim.proto.topic_discovery import TopicEndpoint, TopicFacts, merge_endpoints
 
 SERVICE = "SS"

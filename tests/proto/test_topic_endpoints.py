@@ -9,7 +9,8 @@ from tests.fakes import ManualClock, MemoryBus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import String, Twist, TwistStamped
 from zensim.proto.network_protocols import Stamp
-from zensim.proto.ros2.liveliness_tokens import LATCHED, gid_from_token
+from zensim.proto.ros2.liveliness_tokens import gid_from_token
+from zensim.proto.ros2.qos_profiles import LATCHED
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings

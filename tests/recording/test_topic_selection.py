@@ -3,7 +3,8 @@
 import pytest
 
 from zensim.proto import keys
-from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint, Qos
+from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
+from zensim.proto.ros2.qos_profiles import Qos
 from zensim.proto.topic_catalog import ROBOT_TOPICS, find_robot_topic
 from zensim.recording.topic_selection import (
     TopicFilter,

@@ -18,7 +18,7 @@ from tests.robot_agent.test_claim_client import FakeShareServer
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.messages.agent_messages import DriveState, FleetOdometry
-from zensim.proto.messages.model_messages import DiffDrive
+from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3

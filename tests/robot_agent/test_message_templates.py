@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto.codec import cdr
-from zensim.proto.codec.cdr import CdrTemplate
+from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.message_paths import (
     HEADER_STAMP,
     ODOMETRY_PATHS,

@@ -10,8 +10,11 @@ from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, a_claim, two_wheeler
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import Claim
-from zensim.proto.messages.drive_messages import DiffDrive
-from zensim.proto.messages.model_messages import JointStatePublisher, Model, RosBlock
+from zensim.proto.messages.drive_messages import DiffDrive, RosBlock
+from zensim.proto.messages.model_messages import (
+    JointStatePublisher,
+    Model,
+)
 from zensim.proto.messages.standard_messages import (
     Header,
     JointState,

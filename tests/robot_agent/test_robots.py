@@ -9,7 +9,8 @@ from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, a_claim, a_state, two_wheeler
 from zensim.proto.codec.message_codec import Format, MalformedPayload
 from zensim.proto.messages.agent_messages import DriveCommand
-from zensim.proto.messages.model_messages import Model, RosBlock
+from zensim.proto.messages.drive_messages import RosBlock
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState

@@ -11,10 +11,10 @@ from tests.models import a_state
 from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.memory_bus import MemorySubscription
+from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.messages.model_messages import (
     GroundTruth,
     Origin,
-    RosBlock,
 )
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.se3 import from_rpy

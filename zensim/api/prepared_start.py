@@ -11,8 +11,8 @@ import sys
 import msgspec
 
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.process_copies import copy_process, name_process
-from zensim.proto.process_limits import die_with_supervisor
 
 AGENT_VERB, AGENTS_VERB, SENSORS_VERB, ROUTER_VERB = "agent", "agents", "sensors", "router"
 

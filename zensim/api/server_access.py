@@ -28,7 +28,7 @@ from zensim.proto.codec.message_codec import (
 )
 from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.sensing_messages import SensorStats
 from zensim.proto.messages.simulation_messages import (
     JoinLockstepRequest,
     SimulateStepsRequest,

@@ -7,7 +7,7 @@ import msgspec
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.memory_bus import MemoryBus
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.topic_catalog import CONTACTS, SCENE_STATE, TopicSpec
 from zensim.robot_agent.bumpers import read_contact_report
 from zensim.robot_agent.fleet_odometry import FleetOdometryPublisher

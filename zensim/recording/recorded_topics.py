@@ -26,7 +26,8 @@ from zensim.proto.messages.standard_messages import (
     UInt8MultiArray,
 )
 from zensim.proto.network_protocols import Sample
-from zensim.proto.ros2.liveliness_tokens import (
+from zensim.proto.ros2.message_definitions import write_definition
+from zensim.proto.ros2.qos_profiles import (
     RELIABLE_10,
     RMW_DURABILITY,
     RMW_HISTORY,
@@ -35,7 +36,6 @@ from zensim.proto.ros2.liveliness_tokens import (
     Qos,
     Word,
 )
-from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.ros2.type_hash import hash_type
 from zensim.proto.schema import find_cdr_type
 from zensim.proto.topic_catalog import CLOCK, CMD_VEL, EVENTS, INPUTS, MAP, find_robot_topic

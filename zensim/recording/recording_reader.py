@@ -13,7 +13,7 @@ import msgspec
 
 from zensim.proto.bounded_files import open_regular_file
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.ros2.liveliness_tokens import Qos
+from zensim.proto.ros2.qos_profiles import Qos
 from zensim.recording.chunk_compression import DamagedChunk
 from zensim.recording.file_index import (
     AttachmentPlace,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from zensim.proto.messages.model_messages import RosBlock
+from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 from zensim.sim_server.description.element_rules import (
     ElementRule,

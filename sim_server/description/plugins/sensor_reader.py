@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.messages.model_messages import (
     Frame,
     Model,
     Origin,
     Parameter,
     ReportEntry,
-    RosBlock,
     Sensor,
     Vec3,
 )

@@ -30,7 +30,7 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, Vec3
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.messages.sensor_messages import SphericalCoordinates
+from zensim.proto.messages.sensing_messages import SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import Scene

@@ -22,7 +22,12 @@ from zensim.proto.messages.standard_messages import (
     TwistStamped,
     TwistWithCovariance,
 )
-from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_5, AnnouncedEndpoint, Qos
+from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
+from zensim.proto.ros2.qos_profiles import (
+    LATCHED,
+    RELIABLE_5,
+    Qos,
+)
 
 ONES = tuple(1.0 for _ in range(36))
 ZEROS = tuple(0.0 for _ in range(36))

@@ -19,7 +19,7 @@ from tests.integration.test_page_sensors import POINTS_OF
 from tests.integration.test_view import CAMERA, CLICK_MS, WITHIN
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.standard_messages import (
     Image,
     LaserScan,

@@ -1,7 +1,6 @@
 """CDR against an independent implementation, in both directions."""
 
 import math
-import struct
 import tracemalloc
 from contextlib import suppress
 
@@ -15,7 +14,7 @@ from tests.proto.ros_oracle import knows, rewritten_by_ros, ros_bytes
 from tests.proto.strategies import messages_of
 from tests.proto.widest import Widest
 from zensim.proto.codec import cdr
-from zensim.proto.codec.cdr import CdrTemplate, MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages.entity_messages import Bounds, GetEntitiesRequest, GetEntitiesResponse
 from zensim.proto.messages.simulation_messages import (
     GetSimulationStateRequest,
@@ -39,54 +38,10 @@ from zensim.proto.messages.standard_messages import (
     TransformStamped,
     Twist,
     Vector3,
-    time_from_ns,
 )
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.schema import list_messages
-
-NAMES = ("left", "right")
-PATHS = ("position[0]", "position[1]", "velocity[0]", "velocity[1]")
-
-
-def joint_states(time_ns: int, values: list[float]) -> JointState:
-    header = Header(time_from_ns(time_ns), "base_link")
-    return JointState(header, NAMES, tuple(values[:2]), tuple(values[2:]))
-
-
-def a_template() -> CdrTemplate:
-    return CdrTemplate(joint_states(0, [0.0] * 4), numbers=PATHS, stamps=("header.stamp",))
-
-
-@given(
-    moments=st.lists(
-        st.tuples(
-            st.integers(0, (1 << 31) * 1_000_000_000 - 1),
-            st.lists(st.floats(width=64), min_size=4, max_size=4),
-        ),
-        min_size=1,
-        max_size=3,
-    )
-)
-def test_template_yields_the_bytes_of_the_codec_each_time(
-    moments: list[tuple[int, list[float]]],
-) -> None:
-    template = a_template()
-
-    for time_ns, values in moments:
-        assert template.payload(time_ns, values) == cdr.encode(joint_states(time_ns, values))
-
-
-def test_template_without_numbers_fills_in_the_stamp() -> None:
-    template = CdrTemplate(joint_states(0, [1.0] * 4), numbers=(), stamps=("header.stamp",))
-
-    assert template.payload(5, []) == cdr.encode(joint_states(5, [1.0] * 4))
-
-
-def test_template_refuses_too_few_numbers() -> None:
-    with pytest.raises(struct.error):
-        a_template().payload(0, [0.0] * 3)
-
 
 HEADER = bytes.fromhex("00 01 00 00")
 HUGE = b"\xff\xff\xff\xff"

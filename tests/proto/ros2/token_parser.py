@@ -5,17 +5,19 @@ from typing import Final, get_args
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.liveliness_tokens import (
-    DEFAULT_QOS,
-    INFINITE_NS,
     NODE_KIND,
-    RMW_DURABILITY,
-    RMW_HISTORY,
-    RMW_LIVELINESS,
-    RMW_RELIABILITY,
     TOKEN_SPACE,
     EndpointKind,
     GraphEndpoint,
     GraphNode,
+)
+from zensim.proto.ros2.qos_profiles import (
+    DEFAULT_QOS,
+    INFINITE_NS,
+    RMW_DURABILITY,
+    RMW_HISTORY,
+    RMW_LIVELINESS,
+    RMW_RELIABILITY,
     Qos,
     Word,
 )

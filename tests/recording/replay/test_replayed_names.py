@@ -6,7 +6,7 @@ import pytest
 
 from tests.recording.replays import write_run
 from zensim.deploy.cli.replay_commands import expand_words
-from zensim.proto.ros2.liveliness_tokens import RELIABLE_10
+from zensim.proto.ros2.qos_profiles import RELIABLE_10
 from zensim.recording.recording_reader import RecordingReader, StoredTopic
 from zensim.recording.replay.replayed_names import NameSettings, ReplayedNames
 from zensim.recording.topic_selection import TopicSelection

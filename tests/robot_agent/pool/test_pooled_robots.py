@@ -20,9 +20,9 @@ from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.model_messages import GroundTruth, Model, Origin, Sensor
+from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.sensor_messages import (
     AltimeterSensor,
-    Environment,
     ImuSensor,
     MagnetometerSensor,
     NavsatSensor,

@@ -15,7 +15,11 @@ from zensim.proto.messages import agent_messages
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Sensor
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.messages.sensor_messages import Environment, ImuSensor, SphericalCoordinates
+from zensim.proto.messages.sensing_messages import (
+    Environment,
+    SphericalCoordinates,
+)
+from zensim.proto.messages.sensor_messages import ImuSensor
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
 from zensim.sim_server.errors import IncorrectState, RequestRefused

@@ -6,15 +6,17 @@ import pytest
 from tests.sim_server.fakes import a_world, make_parts
 from tests.sim_server.orders import an_order, spawned, suspicions
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
+from zensim.proto.messages.sensing_messages import (
+    Environment,
+    SphericalCoordinates,
+)
 from zensim.proto.messages.sensor_messages import (
     CameraSensor,
-    Environment,
     ImuSensor,
     NavsatSensor,
     RaySensor,
     ScanAxis,
     SensorSettings,
-    SphericalCoordinates,
 )
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.proto.sensor_libraries import LIBRARIES, Library

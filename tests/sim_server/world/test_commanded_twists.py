@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from zensim.proto.codec.cdr import MalformedPayload
+from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages.agent_messages import TwistCommands
 from zensim.sim_server.world.commanded_twists import CommandedTwists
 from zensim.sim_server.world.entity import EntityIndex

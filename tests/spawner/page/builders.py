@@ -8,8 +8,8 @@ import numpy as np
 from tests.fakes import MemoryBus
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.model_messages import (
-    DiffDrive,
     Joint,
     Link,
     Model,

@@ -18,7 +18,7 @@ from tests.spawner.page.builders import (
 from zensim.proto import topic_catalog
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.simulation_messages import (
     ResetScope,
     ResetSimulationRequest,

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from tests.spawner.top.readings import a_reading, a_usage
 from zensim.proto.messages.process_messages import AgentStats
-from zensim.proto.messages.sensor_messages import SensorStats
+from zensim.proto.messages.sensing_messages import SensorStats
 from zensim.proto.messages.telemetry_messages import AgentCommands
 from zensim.spawner.top.fleet_figures import (
     FleetReading,

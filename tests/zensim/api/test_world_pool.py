@@ -9,7 +9,7 @@ from zensim.api.in_process_world import get_server
 from zensim.api.world_pool import POOL, WorldOutput, WorldPool
 from zensim.proto.memory_bus import MemoryBus
 from zensim.proto.messages.agent_messages import DriveState
-from zensim.proto.messages.sensor_messages import Contacts
+from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, SCENE_STATE
 
 EMPTY = DriveState(0, 3, 9, b"", b"", b"", b"")

@@ -15,7 +15,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.proto.network_protocols import TopicNetwork
-from zensim.proto.ros2.liveliness_tokens import LATCHED
+from zensim.proto.ros2.qos_profiles import LATCHED
 from zensim.proto.ros2.rmw_keys import make_data_key
 from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.schema import find_cdr_type

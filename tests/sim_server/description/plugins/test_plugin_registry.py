@@ -8,7 +8,7 @@ from tests.sim_server.description.robots import (
     report_of,
     subjects,
 )
-from zensim.proto.messages.model_messages import DiffDrive
+from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 JOINTS = "<joint_name>left_joint</joint_name>"

@@ -4,7 +4,8 @@ import pytest
 from lxml import etree
 
 from tests.sim_server.description.robots import mentions, subjects
-from zensim.proto.messages.model_messages import ReportEntry, RosBlock
+from zensim.proto.messages.drive_messages import RosBlock
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import parse_xml

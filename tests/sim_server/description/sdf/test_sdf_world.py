@@ -10,7 +10,7 @@ from tests.sim_server.description.sdf_robots import a_joint, a_link, a_pose
 from zensim.proto.messages.entity_messages import Bounds, BoundsType
 from zensim.proto.messages.model_messages import Light, Origin
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.messages.sensor_messages import SphericalCoordinates
+from zensim.proto.messages.sensing_messages import SphericalCoordinates
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Scene
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world

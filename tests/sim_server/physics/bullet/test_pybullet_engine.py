@@ -33,6 +33,7 @@ from tests.sim_server.physics.bullet_probe import (
     touching,
 )
 from zensim.api.world_snapshots import SnapshotPlace, read_snapshot, write_snapshot
+from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
@@ -40,7 +41,6 @@ from zensim.proto.messages.model_messages import (
     Link,
     Mimic,
     Model,
-    RosBlock,
     Shape,
 )
 from zensim.sim_server.physics.blueprint import make_blueprint

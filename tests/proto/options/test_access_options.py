@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from zensim.proto.cli_options import AccessOptions
+from zensim.proto.options.access_options import AccessOptions
 from zensim.proto.web_access import make_page_url
 
 URL = make_page_url("127.0.0.1", 8080, "secret", has_tls=False)
