@@ -31,6 +31,7 @@ from zensim.proto.messages import (
     spawn_messages,
     standard_messages,
     telemetry_messages,
+    vehicle_messages,
     world_messages,
 )
 from zensim.proto.sample_messages import make_sample_message
@@ -58,6 +59,7 @@ MESSAGE_MODULES: tuple[ModuleType, ...] = (
     spawn_messages,
     standard_messages,
     telemetry_messages,
+    vehicle_messages,
     world_messages,
 )
 KEY_ARGUMENTS = {

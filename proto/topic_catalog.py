@@ -47,6 +47,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3Stamped,
 )
 from zensim.proto.messages.telemetry_messages import AuditRecord, Event, Snapshot, Stats, WorldClock
+from zensim.proto.messages.vehicle_messages import FleetStatus
 from zensim.proto.ros2.qos_profiles import (
     LATCHED,
     RELIABLE_5,
@@ -302,6 +303,16 @@ TWISTS = TopicSpec(
     format=Format.MSGPACK,
     is_gettable=False,
     description="twists that robots keep until the next order; `cmd_vel` for a whole fleet",
+)
+VEHICLES = TopicSpec(
+    name="vehicles",
+    scope=TopicScope.WORLD,
+    messages=(FleetStatus,),
+    publisher=Participant.USER,
+    format=Format.MSGPACK,
+    rate_hz=1.0,
+    is_gettable=False,
+    description="orders, batteries and errors of vehicles, from `zensim vda5050`",
 )
 SCENE_STATE = TopicSpec(
     name="scene_state",

@@ -160,6 +160,8 @@ def _choose_robots(reading: FleetReading, given: TopOptions) -> list[RobotRow]:
 
 def _make_table(titles: dict[str, str], rows: Sequence[Row]) -> Table:
     table = Table(box=None)
+    is_vehicle_known = any(getattr(row, "order", None) is not None for row in rows)
+    titles = {one: title for one, title in titles.items() if one != "order" or is_vehicle_known}
     for column, title in titles.items():
         is_number = any(isinstance(getattr(row, column), (int, float)) for row in rows)
         table.add_column(title, justify="right" if is_number else "left")

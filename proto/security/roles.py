@@ -27,6 +27,7 @@ from zensim.proto.topic_catalog import (
     ROBOT_TOPICS,
     SCENE_STATE,
     TWISTS,
+    VEHICLES,
     WORLD_TOPICS,
     Participant,
     TopicSpec,
@@ -185,6 +186,7 @@ ROLES: Final[dict[str, Role]] = {
                 (
                     *_of_any_robot(CMD_VEL, JOINT_COMMANDS, CONTROLLER_COMMANDS, IMAGE_TRIGGER),
                     TWISTS.key("{world}"),
+                    VEHICLES.key("{world}"),
                     "sim/{world}/clients/*/steps",
                 ),
             ),

@@ -13,7 +13,8 @@ from zensim.spawner.page.entity_list import encode_statuses, find_statuses, list
 from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.selection_outlines import SelectionOutlines
 from zensim.spawner.page.sensor_views import SensorChoice
-from zensim.spawner.page.side_panel import make_robot_html
+from zensim.spawner.page.side_panel import WatchedTopic, make_robot_html
+from zensim.spawner.page.vehicle_display import VEHICLES_WATCH, VehicleDisplay
 from zensim.spawner.page.viewer_client import CameraMode, PageState, Panel, ViewerClient
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ class EntityPanel(Panel):
         self._statuses = ("", "")
         self._outlines = SelectionOutlines(client)
         client.gui.add_html(make_list_html(can_act=client.can_act))
-        self._details = EntityDetails(client)
+        self._vehicles = VehicleDisplay(client.scene)
+        self._details = EntityDetails(client, self._vehicles)
 
     def draw(self, state: PageState) -> None:
         """Move the outlines."""
@@ -45,13 +47,22 @@ class EntityPanel(Panel):
     def update(self, state: PageState) -> None:
         """Update details, and the list from time to time."""
         self._details.update(state)
+        self._vehicles.draw(self._client.selected, state)
         if time.monotonic() >= self._next_list_at:
             self._list(state)
 
     def change_selection(self) -> None:
         """Show details of the selection."""
+        selected = self._client.selected
+        self._client.watch("vehicles", *([VEHICLES_WATCH] if selected else []))
+        self._vehicles.draw(selected, self._client.state)
         self._details.show()
         self._outlines.draw(self._client.selected, self._client.state)
+
+    def show_message(self, watch: WatchedTopic, message: msgspec.Struct) -> None:
+        """Take what vehicles do."""
+        if watch == VEHICLES_WATCH:
+            self._vehicles.receive(message)
 
     def _list(self, state: PageState) -> None:
         """Send what the list shows, if it has changed."""
@@ -80,8 +91,8 @@ def make_list_html(*, can_act: bool) -> str:
 class EntityDetails:
     """State of the first selected entity, camera, and switches of its sensors."""
 
-    def __init__(self, client: ViewerClient) -> None:
-        self._client = client
+    def __init__(self, client: ViewerClient, vehicles: VehicleDisplay) -> None:
+        self._client, self._vehicles = client, vehicles
         self._place = client.gui.add_folder(None)
         self._folder: viser.GuiFolderHandle | None = None
         self._text: viser.GuiHtmlHandle | None = None
@@ -105,7 +116,8 @@ class EntityDetails:
             return
         name = selected[0]
         member, base = state.fleet.members[name], state.state_of(name)
-        self._text.content = make_robot_html(member, base, state.commands.get(name))
+        command, vehicle = state.commands.get(name), self._vehicles.find(name)
+        self._text.content = make_robot_html(member, base, command, vehicle)
 
     def _add_controls(self, folder: viser.GuiFolderHandle, selected: Sequence[str]) -> None:
         client, fleet = self._client, self._client.state.fleet

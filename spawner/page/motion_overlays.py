@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -35,6 +36,7 @@ COMMANDED: Final = (230, 159, 0)
 """Sky blue and orange are distinct in all kinds of colour blindness (Okabe and Ito, 2008)."""
 
 Clock = Callable[[], float]
+SegmentsHandle = viser.ArrowsHandle | viser.LineSegmentsHandle
 Colour = tuple[int, int, int]
 
 
@@ -144,8 +146,9 @@ class VelocityArrows:
     """Arrows of the measured velocity, and of the commanded one where it is known."""
 
     def __init__(self, scene: viser.SceneApi, clock: Clock = time.monotonic) -> None:
-        self._measured = Arrows(scene, "/velocities/measured", MEASURED)
-        self._commanded = Arrows(scene, "/velocities/commanded", COMMANDED)
+        measured, commanded = "/velocities/measured", "/velocities/commanded"
+        self._measured = Segments(partial(_add_arrows, scene, measured, MEASURED))
+        self._commanded = Segments(partial(_add_arrows, scene, commanded, COMMANDED))
         self._clock, self._next_at = clock, 0.0
 
     def draw(self, names: Sequence[str], state: PageState) -> None:
@@ -169,16 +172,17 @@ class VelocityArrows:
         self._commanded.show(np.zeros((0, 2, 3)))
 
 
-class Arrows:
-    """A node with arrows of one colour."""
+class Segments:
+    """A node of segments (n, 2, 3) [m], such as arrows or a line."""
 
-    def __init__(self, scene: viser.SceneApi, path: str, colour: Colour) -> None:
-        self._scene, self._path, self._colour = scene, path, colour
-        self._node: viser.ArrowsHandle | None = None
-        self._shown = np.zeros((0, 2, 3))
+    def __init__(self, add: Callable[[Array], SegmentsHandle]) -> None:
+        """Show nothing yet; the function adds a node with points."""
+        self._add = add
+        self._node: SegmentsHandle | None = None
+        self._shown: Array = np.zeros((0, 2, 3))
 
     def show(self, points: Array) -> None:
-        """Show exactly these arrows (n, 2, 3) from start to end [m]."""
+        """Show exactly these segments."""
         if np.array_equal(points, self._shown):
             return
         has_same_size = len(points) == len(self._shown)
@@ -190,14 +194,20 @@ class Arrows:
             self._node.remove()
             self._node = None
         if len(points):
-            self._node = self._scene.add_arrows(
-                self._path,
-                points,
-                to_linear(np.array(self._colour)),
-                shaft_radius=0.01,
-                head_radius=0.025,
-                head_length=0.05,
-            )
+            self._node = self._add(points)
+
+
+def _add_arrows(
+    scene: viser.SceneApi, path: str, colour: Colour, points: Array
+) -> viser.ArrowsHandle:
+    return scene.add_arrows(
+        path,
+        points,
+        to_linear(np.array(colour)),
+        shaft_radius=0.01,
+        head_radius=0.025,
+        head_length=0.05,
+    )
 
 
 def make_arrows(starts: dict[str, Array], ways: dict[str, Array]) -> Array:

@@ -6,6 +6,7 @@ from typing import Any, Final
 import msgspec
 
 from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.proto.messages.vehicle_messages import VehicleStatus
 from zensim.proto.printable_text import to_html
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.model_visuals import Array
@@ -52,6 +53,7 @@ Order = HeadOrder | WorldCall
 
 AMBER: Final = "var(--zensim-amber)"
 """Colour of what is not as wanted; the style sheet of the page has a tone for each theme."""
+RED: Final = "var(--zensim-red)"
 STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
 """Colours of the state; any other state is red."""
 SHORT: Final = 0.95
@@ -64,7 +66,7 @@ PanelRows = list[tuple[str, str]]
 
 def make_status_html(status: SimulationStatus) -> str:
     """Format state, simulation time, real-time factor beside the wanted one, and robots."""
-    colour = STATE_COLOURS.get(status.state, "var(--zensim-red)")
+    colour = STATE_COLOURS.get(status.state, RED)
     state = f'<span style="color:{colour}">&#9679;</span> {to_html(status.state)}'
     malformed = [("Malformed sensor messages", f"{status.malformed}")] if status.malformed else []
     cells = [
@@ -92,8 +94,13 @@ def _write_factor(status: SimulationStatus) -> str:
     return f'<span style="color:{AMBER}">{text}</span>'
 
 
-def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:
-    """Format namespace, pose, speed of a robot, and what commands it."""
+def make_robot_html(
+    member: EntityModel,
+    state: Array,
+    command: LastCommand | None,
+    vehicle: VehicleStatus | None = None,
+) -> str:
+    """Format namespace, pose, speed of a robot, what commands it, and its order, if it has one."""
     pose, speed = format_pose(state)
     return _make_table(
         [
@@ -101,8 +108,23 @@ def make_robot_html(member: EntityModel, state: Array, command: LastCommand | No
             ("Pose", pose),
             ("Speed", speed),
             ("Commanded by", format_command(command, moves=is_moving(state))),
+            *(_list_vehicle_rows(vehicle) if vehicle is not None else ()),
         ]
     )
+
+
+def _list_vehicle_rows(vehicle: VehicleStatus) -> PanelRows:
+    where = f" to {vehicle.goal}" if vehicle.goal else f" at {vehicle.last_node}"
+    order = f"{vehicle.order}{where}" if vehicle.order else "none yet"
+    rows = [
+        ("Order", to_html(order)),
+        ("Task", to_html(vehicle.task)),
+        ("Battery", f"{vehicle.battery_percent:.0f} %"),
+    ]
+    if vehicle.errors:
+        text = "\n".join(to_html(one) for one in vehicle.errors)
+        rows.append(("Errors", f'<span style="color:{RED}">{text}</span>'))
+    return rows
 
 
 def format_command(command: LastCommand | None, *, moves: bool = False) -> str:

@@ -16,6 +16,7 @@ from zensim.proto.messages.telemetry_messages import (
     Snapshot,
     Stats,
 )
+from zensim.proto.messages.vehicle_messages import VehicleStatus
 from zensim.spawner.top.local_processes import LocalProcess
 
 MIB: Final = 1 << 20
@@ -37,6 +38,8 @@ class FleetReading(msgspec.Struct, frozen=True, kw_only=True):
     models: GetModelsResponse = NO_MODELS
     odom_hz: Mapping[str, float] = {}
     """Measured rates by namespace [Hz, wall time]; others were not measured."""
+    vehicles: Mapping[str, VehicleStatus] = {}
+    """Vehicles of a fleet manager by entity."""
     is_stale: bool = False
     """Whether the server has not reported for some time."""
 
@@ -73,6 +76,8 @@ class RobotRow(msgspec.Struct, frozen=True):
     """[m/s]."""
     odom_hz: float | None
     """Measured rate of odometry [Hz, wall time]; None = not measured."""
+    order: str | None = None
+    """What it does as a vehicle of a fleet manager; None = it is none."""
 
 
 Row = TypeVar("Row", ProcessRow, RobotRow)
@@ -191,9 +196,19 @@ def list_robot_rows(now: FleetReading) -> list[RobotRow]:
                 y=y,
                 speed=speed,
                 odom_hz=now.odom_hz.get(one.namespace),
+                order=_describe_order(now.vehicles.get(one.entity)),
             )
         )
     return rows
+
+
+def _describe_order(vehicle: VehicleStatus | None) -> str | None:
+    if vehicle is None:
+        return None
+    if vehicle.errors:
+        return vehicle.errors[0]
+    goal = f" to {vehicle.goal}" if vehicle.goal else ""
+    return f"{vehicle.order}{goal}, {vehicle.task}, {vehicle.battery_percent:.0f} %".lstrip(", ")
 
 
 def _read_states(
@@ -289,4 +304,5 @@ ROBOT_TITLES: Final = {
     "y": "y [m]",
     "speed": "speed [m/s]",
     "odom_hz": "odom [Hz]",
+    "order": "order",
 }

@@ -16,10 +16,20 @@ from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
 from zensim.proto.messages.sensing_messages import SensorStats
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats
+from zensim.proto.messages.vehicle_messages import FleetStatus
 from zensim.proto.stats_publisher import read_host_name
-from zensim.proto.topic_catalog import AGENT_STATS, ODOM, SENSOR_STATS, SNAPSHOT, STATS, TopicSpec
+from zensim.proto.topic_catalog import (
+    AGENT_STATS,
+    ODOM,
+    SENSOR_STATS,
+    SNAPSHOT,
+    STATS,
+    VEHICLES,
+    TopicSpec,
+)
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.client.topic_reader import TopicReader, WantedTopics, read_topic
+from zensim.spawner.client.vehicle_statuses import VehicleStatuses
 from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.top.fleet_figures import NO_MODELS, FleetReading
 from zensim.spawner.top.local_processes import list_descendants
@@ -109,6 +119,8 @@ class FleetSource:
         self._agents = Reports(read(AgentStats, AGENT_STATS, "*"), lambda one: one.agent)
         self._sensors = Reports(read(SensorStats, SENSOR_STATS, "*"), lambda one: one.process)
         self._rates = OdometryRates(bus)
+        self._fleets = read(FleetStatus, VEHICLES)
+        self._vehicles = VehicleStatuses()
 
     def watch(self, namespaces: Iterable[str]) -> None:
         """Measure the rates of odometry of these robots, and of no others."""
@@ -120,6 +132,8 @@ class FleetSource:
         now_s = time.monotonic()
         stats, agents = self._stats.read(now_s), self._agents.read(now_s)
         sensors = self._sensors.read(now_s)
+        for fleet in self._fleets.take():
+            self._vehicles.receive(fleet)
         self._follower.take()
         if snapshot is not None:  # else a call would only wait, and the silence be shown late
             self._follower.note_roster(snapshot.roster)
@@ -138,12 +152,14 @@ class FleetSource:
             snapshot=snapshot,
             models=self._follower.models or NO_MODELS,
             odom_hz=self._rates.read(time.monotonic()),
+            vehicles=self._vehicles.read(),
             is_stale=not stats,
         )
 
     def close(self) -> None:
         """Undeclare all subscriptions."""
-        for one in (self._follower, self._stats, self._agents, self._sensors, self._rates):
+        reports = (self._stats, self._agents, self._sensors, self._rates, self._fleets)
+        for one in (self._follower, *reports):
             one.close()
 
     def _fetch_snapshot(self) -> Snapshot | None:

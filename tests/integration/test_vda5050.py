@@ -6,12 +6,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import zensim as api
@@ -21,6 +22,11 @@ from tests.integration.processes import eventually, kill, read_json_line, runnin
 from tests.node_peers.foxglove_peer import FoxglovePeer
 from tests.node_peers.node_packages import FOLDER, start_script
 from tests.zensim.vda5050.orders import action, edge, header, node, order
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
+from zensim.proto.messages.vehicle_messages import FleetStatus, VehicleStatus
+from zensim.proto.topic_catalog import VEHICLES
+from zensim.spawner.client.topic_reader import read_topic
 
 NUMBERS = count()
 
@@ -205,6 +211,39 @@ def test_order_outlives_a_broker_and_a_killed_program(
     assert set(runs) <= {"RUNNING", "FINISHED"}
     assert find_place(after)[0] == pytest.approx(find_place(first)[0] - 1.2, abs=0.06)
     assert not after["driving"]
+
+
+def test_who_looks_at_the_world_hears_what_vehicles_do(sim: api.Sim, broker: Broker) -> None:
+    with (
+        open_bus(BusConfig(connect=(sim.endpoint,))) as bus,
+        closing(read_topic(bus, VEHICLES.key("default"), FleetStatus, 64)) as reports,
+        connected(broker) as master,
+        vehicles(sim, broker),
+    ):
+        first = master.wait("r1", lambda _: True)
+        given = make_way(first, 0.6)
+        master.send("r1", "order", given)
+
+        def find(task: str) -> Callable[[], VehicleStatus | None]:
+            return lambda: next(
+                (
+                    one
+                    for fleet in reports.take()
+                    for one in fleet.vehicles
+                    if (one.entity, one.task, one.order) == ("r1", task, given["orderId"])
+                ),
+                None,
+            )
+
+        driving = eventually(find("driving"), WITHIN_S)
+        arrived = eventually(find("idle"), WITHIN_S)
+
+    route = np.frombuffer(driving.route, "<f4").reshape(-1, 2)
+    last = given["nodes"][-1]
+    assert driving.goal == last["nodeId"]
+    place = last["nodePosition"]
+    assert route[-1] == pytest.approx([place["x"], place["y"]], abs=1e-3)
+    assert (arrived.last_node, arrived.goal, arrived.route) == (last["nodeId"], "", b"")
 
 
 def test_unchanged_master_control_drives_vehicles(sim: api.Sim, broker: Broker) -> None:

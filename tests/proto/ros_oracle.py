@@ -167,6 +167,9 @@ ZENSIM = {
     " uint64 memory_bytes",
     "AgentStats": "string agent; uint32 robots; uint64 states; uint64 malformed;"
     " ProcessUsage usage",
+    "VehicleStatus": "string entity; string order; string task; string last_node; string goal;"
+    " float64 battery_percent; string[] errors; uint8[] route",
+    "FleetStatus": "VehicleStatus[] vehicles",
     "SceneState": "uint32 epoch; uint64 step; uint64 time_ns; uint32 roster; uint8[] poses;"
     " uint8[] joint_positions; string[] processes; bool is_awaited; TopicFault[] topic_faults",
     "Contacts": "uint32 epoch; uint64 step; uint64 time_ns; string[] entities;"

@@ -17,7 +17,8 @@ from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, TwistCommands, split_orders
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
-from zensim.proto.topic_catalog import SNAPSHOT, TWISTS
+from zensim.proto.messages.vehicle_messages import FleetStatus
+from zensim.proto.topic_catalog import SNAPSHOT, TWISTS, VEHICLES
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.client.topic_reader import read_topic
 from zensim.spawner.client.world_follower import FAILURES, WorldFollower
@@ -38,6 +39,7 @@ from zensim.vda5050.vehicle_reports import (
     STATE_PERIOD_S,
     VehicleBody,
     report_state,
+    report_status,
     report_visualization,
 )
 from zensim.vda5050.vehicle_settings import FleetSettings
@@ -87,6 +89,8 @@ class FleetProgram:
         self._follower = WorldFollower(bus, world)
         self._snapshots = read_topic(bus, SNAPSHOT.key(world), Snapshot, SNAPSHOT_DEPTH)
         self._twists = bus.advertise(TWISTS.key(world), TWISTS.encoding)
+        self._statuses = bus.advertise(VEHICLES.key(world), VEHICLES.encoding)
+        self._status_due_s = 0.0
         self._name = f"vda5050-{uuid.uuid4().hex[:12]}"
         self._token = bus.token(keys.alive_client(world, self._name))
         self._fleet = VehicleFleet(avoids=options.avoids, max_deviation_m=settings.max_deviation_m)
@@ -113,6 +117,7 @@ class FleetProgram:
             self._follower.close()
             self._snapshots.close()
             self._twists.close()
+            self._statuses.close()
 
     def _turn(self) -> None:
         self._follow_world()
@@ -122,6 +127,7 @@ class FleetProgram:
         # What a state says must outlive this process, so it is saved first.
         self._save()
         self._publish()
+        self._publish_statuses()
 
     def _take(self, name: str, topic: str, payload: bytes) -> None:
         vehicle = self._fleet.find(name)
@@ -198,6 +204,19 @@ class FleetProgram:
             drawing = report_visualization(vehicle, motion, self._links.count(serial, "state"))
             self._links.publish(serial, "visualization", drawing)
         self._due[vehicle.name] = earliest_s, latest_s, drawn_s
+
+    def _publish_statuses(self) -> None:
+        """Tell the page and other tools, once a second, if there are any."""
+        now_s = time.monotonic()
+        if now_s < self._status_due_s or not self._statuses.is_matched:
+            return
+        self._status_due_s = now_s + 1.0 / VEHICLES.rate_hz
+        found = tuple(
+            report_status(one, motion, self._fleet.find_route(one.name))
+            for one in self._fleet
+            if (motion := self._fleet.motion(one.name)) is not None
+        )
+        self._statuses.send(encode(FleetStatus(found), Format.MSGPACK))
 
     def _follow_world(self) -> None:
         for event in self._follower.take().events:

@@ -124,6 +124,15 @@ class VehicleFleet:
         found = self._poses[self._row[name]].tolist()
         return None if math.isnan(found[0]) else VehiclePose(*found)
 
+    def find_route(self, name: str) -> FloatArray:
+        """Find the points from a vehicle to the end of its route [m], (k, 2); without one, none."""
+        row, table = self._row[name], self._table
+        last = int(table.last[row])
+        if last == 0:
+            return np.zeros((0, 2))
+        ahead = slice(int(table.cursor[row]) + 1, last + 1)
+        return np.vstack([self._poses[row, :2], np.stack([table.x[row], table.y[row]], 1)[ahead]])
+
     def motion(self, name: str) -> VehicleMotion | None:
         """Return how a vehicle moves; None while its pose is not known."""
         if (pose := self.pose(name)) is None:

@@ -5,10 +5,13 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
 
+from zensim.proto.messages.vehicle_messages import MAX_ROUTE_POINTS, VehicleStatus
 from zensim.vda5050.order_progress import ActionState
 from zensim.vda5050.path_follower import VehicleLimits
-from zensim.vda5050.vda_messages import Action, Edge, Major, Node
+from zensim.vda5050.route_geometry import FloatArray
+from zensim.vda5050.vda_messages import Edge, Major, Node
 from zensim.vda5050.vehicle import InstantState, Vehicle, VehiclePose
 
 Message: TypeAlias = dict[str, Any]
@@ -52,7 +55,7 @@ def report_state(vehicle: Vehicle, motion: VehicleMotion) -> Message:
     """Make the state without its header."""
     record, major = vehicle.record, vehicle.major
     progress = record.progress
-    instant = [_report_instant(one, major) for one in record.instant]
+    instant = [_report_action(one, major) for one in record.instant]
     actions = [_report_action(one, major) for one in progress.actions]
     state: Message = {
         "orderId": progress.order_id,
@@ -86,6 +89,39 @@ def report_state(vehicle: Vehicle, motion: VehicleMotion) -> Message:
         "batteryState": {"batteryCharge": charge, "charging": record.is_charging},
         "safetyState": {"eStop": "NONE", "fieldViolation": is_violated},
     }
+
+
+def report_status(vehicle: Vehicle, motion: VehicleMotion, route: FloatArray) -> VehicleStatus:
+    """Make what the page and `zensim top` show.
+
+    Args:
+        vehicle: The vehicle.
+        motion: How it moves.
+        route: Points from the vehicle to the end of its route [m], (k, 2).
+    """
+    progress = vehicle.progress
+    count = min(len(route), MAX_ROUTE_POINTS)
+    shown = route[np.linspace(0, len(route) - 1, count).round().astype(int)] if count else route
+    return VehicleStatus(
+        entity=vehicle.name,
+        order=progress.order_id,
+        task=_find_task(vehicle, motion),
+        last_node=progress.last_node_id,
+        goal=progress.nodes[progress.base - 1].node_id if progress.base else "",
+        battery_percent=vehicle.record.charge,
+        errors=tuple(f"{one.kind.name(vehicle.major)}: {one.text}" for one in vehicle.errors),
+        route=shown.astype("<f4").tobytes(),
+    )
+
+
+def _find_task(vehicle: Vehicle, motion: VehicleMotion) -> str:
+    if vehicle.record.is_paused:
+        return "paused"
+    if motion.is_driving:
+        return "driving"
+    if vehicle.record.is_charging:
+        return "charging"
+    return "idle" if vehicle.progress.is_idle else "waiting"
 
 
 def report_visualization(vehicle: Vehicle, motion: VehicleMotion, state_number: int) -> Message:
@@ -151,21 +187,13 @@ def _report_edge(edge: Edge) -> Message:
     return found
 
 
-def _report_action(one: ActionState, major: Major) -> Message:
-    return _report_outcome(one.action, one.status, one.result, major)
-
-
-def _report_instant(one: InstantState, major: Major) -> Message:
-    return _report_outcome(one.action, one.status, one.result, major)
-
-
-def _report_outcome(action: Action, status: str, result: str, major: Major) -> Message:
+def _report_action(one: ActionState | InstantState, major: Major) -> Message:
     name = "actionResult" if major == 3 else "resultDescription"  # noqa: PLR2004
     return {
-        "actionId": action.action_id,
-        "actionType": action.action_type,
-        "actionStatus": status,
-        name: result,
+        "actionId": one.action.action_id,
+        "actionType": one.action.action_type,
+        "actionStatus": one.status,
+        name: one.result,
     }
 
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from zensim.proto.messages.telemetry_messages import EntityModel, Stats
+from zensim.proto.messages.vehicle_messages import VehicleStatus
 from zensim.spawner.page.render_state import LastCommand, SimulationStatus
 from zensim.spawner.page.side_panel import (
     AMBER,
+    RED,
     format_clock,
     format_command,
     make_robot_html,
@@ -106,3 +108,19 @@ def test_status_shows_malformed_messages_of_sensors_if_any(count: int) -> None:
     html = make_status_html(SimulationStatus(malformed=count))
 
     assert ("Malformed" in html) is bool(count)
+
+
+def test_vehicle_shows_order_battery_and_errors() -> None:
+    vehicle = VehicleStatus("r1", "o<7>", "waiting", "n1", "n4", 81.6, ("obstacle: <b>box</b>",))
+
+    html = make_robot_html(EntityModel("r1", "r1", 0), REST, None, vehicle)
+
+    for text in ("o&lt;7&gt; to n4", "waiting", "82 %", "obstacle: &lt;b&gt;box", RED):
+        assert text in html
+
+
+def test_vehicle_without_an_order_says_so() -> None:
+    html = make_robot_html(EntityModel("r1", "r1", 0), REST, None, VehicleStatus("r1", task="idle"))
+
+    assert "none yet" in html
+    assert "Errors" not in html

@@ -7,10 +7,12 @@ import pytest
 from tests.foxglove.fake_bus import FakeBus
 from tests.spawner.top.readings import MODELS, a_snapshot
 from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.vehicle_messages import FleetStatus, VehicleStatus
 from zensim.proto.network_protocols import Sample
-from zensim.proto.topic_catalog import SNAPSHOT
+from zensim.proto.topic_catalog import SNAPSHOT, VEHICLES
 from zensim.spawner.client import world_follower
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.top.fleet_figures import list_robot_rows
 from zensim.spawner.top.fleet_source import FleetSource
 
 WORLD = "default"
@@ -63,3 +65,14 @@ def test_server_that_replies_to_no_call_is_not_waited_for_long(bus: SuspendedBus
     source.read()
 
     assert max(bus.waits_s) <= world_follower.TIMEOUT_S
+
+
+def test_robots_that_are_vehicles_have_their_order(bus: SuspendedBus) -> None:
+    source = FleetSource(SimClient(bus.as_bus, WORLD))
+    status = VehicleStatus("r1", "o7", "driving", "n1", "n4", 81.6)
+    bus.publish(VEHICLES.key(WORLD), encode(FleetStatus((status,)), Format.MSGPACK))
+
+    rows = list_robot_rows(source.read())
+
+    assert {row.name: row.order for row in rows}["r1"] == "o7 to n4, driving, 82 %"
+    assert {row.order for row in rows if row.name != "r1"} == {None}

@@ -5,13 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from tests.zensim.vda5050.orders import action, edge, line, node, order, write
+from tests.zensim.vda5050.orders import action, edge, header, line, node, order, write
 from tests.zensim.vda5050.test_vehicle import make
+from zensim.proto.messages.vehicle_messages import MAX_ROUTE_POINTS, VehicleStatus
 from zensim.vda5050.footprint_check import Box
 from zensim.vda5050.path_follower import VehicleLimits
 from zensim.vda5050.route_geometry import FloatArray
 from zensim.vda5050.vehicle import Vehicle
 from zensim.vda5050.vehicle_fleet import VehicleFleet
+from zensim.vda5050.vehicle_reports import report_status
 
 DT_S = 0.03
 
@@ -171,3 +173,63 @@ def test_reset_of_time_moves_nothing() -> None:
     world.run(6.0)
 
     assert world.poses[0, 0] == pytest.approx(2.0, abs=0.05)
+
+
+def summarize(world: World, name: str) -> VehicleStatus:
+    motion = world.fleet.motion(name)
+    assert motion is not None
+    return report_status(world.find(name), motion, world.fleet.find_route(name))
+
+
+def read_route(status: VehicleStatus) -> FloatArray:
+    return np.frombuffer(status.route, "<f4").reshape(-1, 2).astype(float)
+
+
+def test_status_has_order_task_and_the_route_that_is_left() -> None:
+    world = World((0, 0), (0, 5))
+    send(world, "r0")
+    world.run(1.5)
+
+    driving, idle = summarize(world, "r0"), summarize(world, "r1")
+    route = read_route(driving)
+
+    assert (driving.task, driving.order, bool(driving.goal)) == ("driving", "o1", True)
+    assert route[0] == pytest.approx(world.poses[0, :2], abs=0.05)
+    assert route[-1] == pytest.approx([2.0, 0.0])
+    assert (idle.task, idle.order, idle.goal, idle.route) == ("idle", "", "", b"")
+
+
+def pause(name: str) -> dict[str, object]:
+    return header(2) | {"actions": [action(name, name)]}
+
+
+def test_status_says_paused_arrived_and_rejected() -> None:
+    world = World((0, 0))
+    vehicle, pose = world.find("r0"), world.fleet.pose("r0")
+    assert pose is not None
+    send(world, "r0")
+    world.run(1.0)
+    vehicle.take_instant_actions(write(pause("startPause")), pose)
+    world.run(0.5)
+    assert summarize(world, "r0").task == "paused"
+
+    vehicle.take_instant_actions(write(pause("stopPause")), pose)
+    world.run(6.0)
+    vehicle.take_order(b"{", pose)
+    arrived = summarize(world, "r0")
+
+    assert (arrived.task, arrived.goal, arrived.route) == ("idle", "", b"")
+    assert len(arrived.errors) == 1
+
+
+def test_long_route_is_told_by_few_points() -> None:
+    world = World((0, 0))
+    pose = world.fleet.pose("r0")
+    assert pose is not None
+    world.find("r0").take_order(write(line(*[(0.3 * at, 0.0) for at in range(100)])), pose)
+    world.run(0.1)
+
+    route = read_route(summarize(world, "r0"))
+
+    assert len(route) == MAX_ROUTE_POINTS
+    assert route[-1] == pytest.approx([29.7, 0.0])
