@@ -5,35 +5,17 @@ import json
 import sys
 from enum import IntEnum
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from types import ModuleType
 from typing import TypeVar
 
 import msgspec
 
-from zensim.proto import keys
+from zensim.proto import keys, messages
 from zensim.proto.codec.message_codec import Format, encode, make_encoding, supports_format
-from zensim.proto.messages import (
-    agent_messages,
-    asset_messages,
-    drive_messages,
-    entity_messages,
-    fault_messages,
-    gazebo_messages,
-    input_messages,
-    model_messages,
-    process_messages,
-    replay_messages,
-    result_messages,
-    sensing_messages,
-    sensor_messages,
-    simulation_messages,
-    spawn_messages,
-    standard_messages,
-    telemetry_messages,
-    vehicle_messages,
-    world_messages,
-)
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES
 from zensim.proto.topic_catalog import DRIVE_COMMAND, TOPICS, TopicScope, TopicSpec
@@ -41,26 +23,8 @@ from zensim.proto.topic_catalog import DRIVE_COMMAND, TOPICS, TopicScope, TopicS
 Kind = TypeVar("Kind")
 
 SCHEMAS = Path(__file__).parent / "schemas"
-MESSAGE_MODULES: tuple[ModuleType, ...] = (
-    agent_messages,
-    asset_messages,
-    drive_messages,
-    entity_messages,
-    fault_messages,
-    gazebo_messages,
-    input_messages,
-    model_messages,
-    replay_messages,
-    process_messages,
-    result_messages,
-    sensing_messages,
-    sensor_messages,
-    simulation_messages,
-    spawn_messages,
-    standard_messages,
-    telemetry_messages,
-    vehicle_messages,
-    world_messages,
+MESSAGE_MODULES: tuple[ModuleType, ...] = tuple(
+    import_module(f"{messages.__name__}.{one.name}") for one in iter_modules(messages.__path__)
 )
 KEY_ARGUMENTS = {
     "world": "default",
@@ -140,11 +104,7 @@ def list_services() -> dict[str, object]:
             "key": keys.service("default", name),
             "request": service.request.__name__,
             "response": service.response.__name__,
-            "codes": [
-                family.__name__
-                for family in (result_messages.ResultCode, service.codes)
-                if [*family]
-            ],
+            "codes": [family.__name__ for family in (ResultCode, service.codes) if [*family]],
             "formats": _list_formats(service.request, service.response),
         }
         for name, service in sorted(SERVICES.items())

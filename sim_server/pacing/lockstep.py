@@ -14,30 +14,6 @@ MAX_CHECK_INTERVAL_NS = 20_000_000
 """Most waiting time counted per check: the server itself may have been stopped."""
 
 
-class AwaitedState(Protocol):
-    """A state that was published to a client."""
-
-    @property
-    def epoch(self) -> int:
-        """Number of the epoch."""
-
-    @property
-    def step(self) -> int:
-        """Step since the epoch began."""
-
-    @property
-    def claims(self) -> bytes:
-        """Claims of an agent; empty for other clients."""
-
-    @property
-    def order(self) -> int:
-        """Number of the last order of twists in an agent's state; 0 for other clients."""
-
-    @property
-    def is_awaited(self) -> bool:
-        """Whether the loop waits for the reply."""
-
-
 class StateReply(Protocol):
     """A reply, which repeats what it replies to."""
 
@@ -51,11 +27,19 @@ class StateReply(Protocol):
 
     @property
     def claims(self) -> bytes:
-        """Claims of the state."""
+        """Claims of the agent to which the state was published; empty for other clients."""
 
     @property
     def order(self) -> int:
-        """Order of the state."""
+        """Number of the last order of twists in the agent's state; 0 for other clients."""
+
+
+class AwaitedState(StateReply, Protocol):
+    """A state that was published to a client."""
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the loop waits for the reply."""
 
 
 @dataclass
