@@ -24,6 +24,7 @@ from zensim.scenario.ray_navigation import (
 )
 from zensim.scenario.scenario_format import (
     Behaviour,
+    CarryOutOrders,
     CircleAround,
     DriveAhead,
     FollowRobot,
@@ -36,6 +37,7 @@ from zensim.scenario.scenario_format import (
 )
 
 if TYPE_CHECKING:
+    from zensim.scenario.fleet_orders import FleetOrders
     from zensim.scenario.scenario_reader import Scenario
 
 FloatArray = npt.NDArray[np.float64]
@@ -252,6 +254,21 @@ class ReplayMotion(Motion):
         return np.asarray(rows[number, 1:]) if number >= 0 else np.zeros(2)
 
 
+class OrderMotion(Motion):
+    """Motion of vehicles that carry out orders of a fleet manager."""
+
+    def __init__(self, orders: "FleetOrders") -> None:
+        self._orders = orders
+
+    def command(self, state: FleetState) -> FloatArray:
+        """Follow the routes of the orders.
+
+        Raises:
+            ValueError: A vehicle rejects an order, or cannot carry it out.
+        """
+        return self._orders.command(state.now, state.poses, state.twists)
+
+
 class PythonController(Protocol):
     """A class that a file names in `call`."""
 
@@ -332,6 +349,12 @@ def make_motions(
             file = scenario.find_file(f"behaviours[{index}].file", common.file)
             recorded = read_commands(file, scenario.robot_names)
             motion = ReplayMotion([recorded.find(name) for name in names], common)
+        elif isinstance(common, CarryOutOrders):
+            from zensim.scenario.fleet_orders import FleetOrders, read_orders  # noqa: PLC0415
+
+            file = scenario.find_file(f"behaviours[{index}].file", common.file)
+            orders = read_orders(file, names)
+            motion = OrderMotion(FleetOrders(rows, orders, cast_all(CarryOutOrders, own)))
         else:
             motion = _make_motion(own, names, rows, scenario, make_controller)
         made.append(ScheduledMotion(common.name, rows, common.at, end, motion, common.hold))

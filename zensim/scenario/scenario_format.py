@@ -188,6 +188,16 @@ class ReplayCommands(BehaviourSection, frozen=True, tag="replay"):
     loop: Annotated[bool, described("Begin again after the last command.")] = False
 
 
+class CarryOutOrders(BehaviourSection, frozen=True, tag="orders"):
+    """Carry out orders of VDA 5050: each when the one before is finished, updates at once."""
+
+    file: Annotated[
+        str,
+        described("JSON: an order or a list of orders; `serialNumber` is the robot, or it is all."),
+    ]
+    speed: Annotated[float, quantity("m/s", "Largest speed.", above=0.0)] = 1.0
+
+
 class FollowRobot(BehaviourSection, frozen=True, tag="follow"):
     """Follow another robot at a distance."""
 
@@ -221,6 +231,7 @@ Behaviour = (
     | FollowRobot
     | Navigate
     | ReplayCommands
+    | CarryOutOrders
     | PythonBehaviour
 )
 

@@ -178,15 +178,18 @@ class ReferenceCheck:
 
     def _check_behaviour(self, path: str, entry: Entry) -> None:
         self._require(f"{path}.target", entry.get("target"), self._names, "robot")
-        self._check_replay(f"{path}.file", entry.get("file"))
+        if word := entry.get("file"):
+            self._check_file(f"{path}.file", word, has_orders=entry.get("do") == "orders")
         if entry.get("radius") == 0.0:
             self._refuse(f"{path}.radius", "`0` is no radius of a circle; use another number")
 
-    def _check_replay(self, path: str, word: str | None) -> None:
-        if not word:
-            return
+    def _check_file(self, path: str, word: str, *, has_orders: bool) -> None:
+        # Most scenarios have no orders.
+        from zensim.scenario.fleet_orders import read_orders  # noqa: PLC0415
+
+        read = read_orders if has_orders else read_commands
         try:
-            read_commands(self._resolve(path, word), self._names)
+            read(self._resolve(path, word), self._names)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             self._refuse(path, f"`{word}`: {reason}")
