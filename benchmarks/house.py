@@ -65,7 +65,7 @@ GOALS: Final[Mapping[str, int]] = {
 }
 CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
-    "source lines": 147_200,  # ADRs 153, 154 and 160
+    "source lines": 147_350,  # ADRs 153, 154 and 160
     "longest import chain": 32,
     "modules with three seams": 24,
     "classes of networks": 32,

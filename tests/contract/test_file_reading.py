@@ -16,6 +16,7 @@ OWN = {
     "proto/package_versions.py": OF_THE_PACKAGE,
     "proto/process_copies.py": OF_THE_KERNEL,
     "proto/process_limits.py": OF_THE_KERNEL,
+    "proto/process_memory.py": OF_THE_KERNEL,
     "proto/schema.py": "files of the source, in development",
     "sim_server/description/builtin_models.py": OF_THE_PACKAGE,
     "sim_server/input_log/input_records.py": OF_THE_KERNEL,

@@ -35,9 +35,7 @@ class NoCargo:
         """Refuse."""
         return f"scenarios move no loads, so {load!r} stays"
 
-    def detach(self, _vehicle: str, load: str) -> str:
-        """Refuse."""
-        return f"scenarios move no loads, so {load!r} stays"
+    detach = attach
 
 
 def read_orders(file: Path, names: Sequence[str]) -> Mapping[str, Sequence[Order]]:
