@@ -81,6 +81,7 @@ class FleetOrders:
             behaviours: Of each robot, (m,).
         """
         self._rows, self._names = rows, tuple(orders)
+        self._places = {name: place for place, name in enumerate(self._names)}
         self._waiting = {name: list(listed) for name, listed in orders.items()}
         settings = FleetSettings()
         self._fleet = VehicleFleet(avoids=False, max_deviation_m=settings.max_deviation_m)
@@ -102,8 +103,8 @@ class FleetOrders:
         """
         base = make_states(poses[self._rows], twists[self._rows])
         names, wanted = self._fleet.step(self._names, base, now + START_S)
-        for name, twist in zip(names, np.nan_to_num(wanted), strict=True):
-            self._commands[self._names.index(name)] = twist[0], twist[2]
+        places = np.array([self._places[name] for name in names], dtype=np.intp)
+        self._commands[places] = np.nan_to_num(wanted)[:, (0, 2)]
         for vehicle in self._fleet:
             self._give(vehicle)
         return self._commands
