@@ -4,7 +4,7 @@ ros2_check.py frames              a late listener finds all frames under the fra
 ros2_check.py square ROBOT        drives a closed square by its odometry, in simulation time
 ros2_check.py clients SERVICE N   creates a client of ListParameters, calls, destroys it: N times
 ros2_check.py spawn N             spawns N robots as a launch script does, and deletes them
-ros2_check.py resume ROBOT        hears the robot again after the simulator was restarted
+ros2_check.py resume ROBOT        receives odometry again after the simulator was restarted
 """
 
 import math
@@ -174,7 +174,7 @@ def call(node: Node, client: object, request: object) -> object:
 
 
 def check_clients(node: Node, service: str, count: str) -> str:
-    """Create, call and destroy clients in turn; the last line tells how many had a reply."""
+    """Create, call and destroy clients in turn; the last line has the number of replies."""
     for answered in range(int(count)):
         client = node.create_client(ListParameters, service)
         if not client.wait_for_service(timeout_sec=REPLY_S):
@@ -203,22 +203,25 @@ def call_entity(node: Node, client: object, request: object) -> None:
 
 
 def check_spawn(node: Node, count: str) -> str:
-    """Spawn robots, hear that each one is driven, and delete them."""
+    """Spawn robots, wait for odometry of each, and delete them."""
     spawn = node.create_client(SpawnEntity, "/spawn_entity")
     delete = node.create_client(DeleteEntity, "/delete_entity")
     for client in (spawn, delete):
         if not client.wait_for_service(timeout_sec=WITHIN_S):
             raise CheckFailed(f"no service {client.srv_name}")
     names = [f"check_bot{number}" for number in range(int(count))]
-    heard, times_ms = set(), []
+    received, times_ms = set(), []
     for number, name in enumerate(names):
         node.create_subscription(
-            Odometry, f"/{name}/odom", lambda _, name=name: heard.add(name), qos_profile_sensor_data
+            Odometry,
+            f"/{name}/odom",
+            lambda _, name=name: received.add(name),
+            qos_profile_sensor_data,
         )
         began_s = time.monotonic()
         call_entity(node, spawn, make_spawn_request(name, number))
         times_ms.append((time.monotonic() - began_s) * 1e3)
-    seconds = wait_for(node, "odometry of all of them", lambda: len(heard) == len(names))
+    seconds = wait_for(node, "odometry of all of them", lambda: len(received) == len(names))
     for name in names:
         call_entity(node, delete, DeleteEntity.Request(entity=name))
     return (
@@ -228,7 +231,7 @@ def check_spawn(node: Node, count: str) -> str:
 
 
 def check_resume(node: Node, robot: str) -> str:
-    """Hear a robot until it is silent, and then again, with the subscriptions of before."""
+    """Receive odometry until it ends, and then again, with the same subscriptions."""
     driver, found = Driver(node, robot), []
     topic = f"/{robot}/robot_description"
     node.create_subscription(String, topic, lambda message: found.append(message.data), LATCHED)
