@@ -25,12 +25,12 @@ PASSED_ALONE = Path("build/passed_alone.txt")
 DURATIONS = Path("build/test_durations.json")
 """Wall and processor seconds of each test when it last ran, set-up and clean-up included."""
 SLOWEST = 10
-"""Files and tests that the end of a run names."""
+"""Files and tests that the end of a run names, and tests that failed."""
 FILE_CPU_S = 20.0
 """Processor time of a file above which the end of a run names it."""
-LIMIT_VARIABLE = "FILE_CPU_LIMIT_S"
-"""Processor time above which a file that is not listed fails the run; unset: none does. `.ci/run`
-sets three times the above, because a busy or slower processor takes longer for the same work."""
+SHARE_VARIABLE = "FILE_CPU_SHARE"
+"""Share of the processor time of all files above which a file that is not listed fails the run;
+unset: none does. A slower processor takes longer for all files, so the share is the same."""
 LONG_FILES = {
     "tests/contract/test_one_loop.py": "each scenario runs twice, here and on a server",
     "tests/deploy/test_sweep_commands.py": "sweeps of processes, killed in each part",
@@ -148,7 +148,8 @@ def sum_files(durations: dict[str, list[float]]) -> dict[str, list[float]]:
 
 def name_long_files(files: dict[str, list[float]]) -> bool:
     """Print the files that took much processor time; return whether one is above the limit."""
-    limit_s = float(os.environ.get(LIMIT_VARIABLE, "inf"))
+    share = float(os.environ.get(SHARE_VARIABLE, "inf"))
+    limit_s = share * sum(cpu_s for _, cpu_s in files.values())
     is_above = False
     for file, (_, cpu_s) in sorted(files.items()):
         if cpu_s <= min(FILE_CPU_S, limit_s) or file in LONG_FILES:
@@ -156,7 +157,7 @@ def name_long_files(files: dict[str, list[float]]) -> bool:
         verdict = ""
         if cpu_s > limit_s:
             is_above = True
-            verdict = f", above {limit_s:g} s: make it cheaper, or list it in .ci/run_tests.py"
+            verdict = f", above {limit_s:.1f} s: make it cheaper, or list it in .ci/run_tests.py"
         sys.stdout.write(f"{file} took {cpu_s:.1f} s of processor time{verdict}\n")
     return is_above
 
@@ -180,6 +181,7 @@ def main(arguments: list[str]) -> int:
     files = sum_files(first["durations"])
     write_durations(first["durations"], files)
     if (is_above := name_long_files(files)) or not is_worth_another(first):
+        sys.stdout.write("".join(f"failed: {test}\n" for test in first["failed"][:SLOWEST]))
         return first["status"] or int(is_above)
     failed = first["failed"]
     sys.stdout.write(f"\n{len(failed)} failed; they run again, alone\n\n")

@@ -149,6 +149,18 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
     return report
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(nextitem: pytest.Item | None) -> Generator[None, object, object]:
+    """Count what all files share, as the server of a worker, for none: it ends with the last."""
+    if nextitem is not None:
+        return (yield)
+    before_s = find_cpu_time_s()
+    try:
+        return (yield)
+    finally:
+        REPORTED_CPU_S.append(REPORTED_CPU_S.pop() + find_cpu_time_s() - before_s)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def usual_checkout() -> Generator[None]:
     """Fail the file whose tests leave something in the root of the checkout."""

@@ -104,6 +104,7 @@ def test_run_fails_without_a_second_run_when_six_tests_fail(tmp_path: Path) -> N
 
     assert done.returncode == pytest.ExitCode.TESTS_FAILED
     assert done.stdout.count("6 failed") == 1, done.stdout
+    assert done.stdout.endswith("failed: test_b.py::test_n[5]\n")
     assert names_that_passed_alone(tmp_path) == []
 
 
@@ -157,16 +158,18 @@ def test_run_keeps_the_seconds_of_tests_and_names_the_slowest(
     assert "test_a.py" not in done.stdout.partition("slowest")[2]
 
 
-@pytest.mark.parametrize(("limit_s", "status"), [("2.5", 1), ("60", 0)])
-def test_file_fails_a_run_of_ci_when_it_takes_more_processor_time_than_its_limit(
-    tmp_path: Path, limit_s: str, status: int
+@pytest.mark.parametrize(("share", "status"), [("0.55", 1), ("0.65", 0)])
+def test_file_fails_a_run_of_ci_when_it_takes_more_of_the_processor_time_than_its_share(
+    tmp_path: Path, share: str, status: int
 ) -> None:
-    files = {"conftest.py": TAKES_A_SECOND, "test_a.py": PASSES}  # set-up, call and clean-up
+    three = "import pytest\n@pytest.mark.parametrize('n', range(3))\ndef test_n(n): pass\n"
+    files = {"conftest.py": TAKES_A_SECOND, "test_b.py": three, "test_c.py": PASSES}
 
-    done = run_tests(tmp_path, files, FILE_CPU_LIMIT_S=limit_s)
+    done = run_tests(tmp_path, files, FILE_CPU_SHARE=share)
 
-    assert done.returncode == status, done.stdout
-    assert ("test_a.py took 3.0 s" in done.stdout) == bool(status)
+    assert done.returncode == status, done.stdout  # 9 s of 15: set-up, call and clean-up
+    assert ("test_b.py took 9.0 s" in done.stdout) == bool(status)
+    assert "test_a.py took" not in done.stdout
 
 
 def test_listed_long_files_exist() -> None:
