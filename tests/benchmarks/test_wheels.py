@@ -3,7 +3,13 @@
 import pytest
 
 from benchmarks.bench_wheels import WITHIN, measure_robot
-from tests.sim_server.description.wheel_models import list_robots
+from tests.sim_server.description.wheel_models import (
+    Chassis,
+    Surface,
+    WheelRobot,
+    diff_tags,
+    list_robots,
+)
 
 ROBOTS = {robot.name: robot for robot in list_robots()}
 OF_EACH_DRIVE = (
@@ -89,3 +95,17 @@ def test_kinematic_robot_drives_as_friction_allows(name: str) -> None:
     (row,) = measure_robot(ROBOTS[name], ["kinematic"])
 
     assert row.off_percent < MOST_KINEMATIC_OFF, row
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_rough_wheels_keep_their_load_while_others_slide(engine: str) -> None:
+    chassis = Chassis(10.0, 0.1, 0.4)
+    urdf = chassis.start("rough_middle")
+    for number, (x, friction) in enumerate(((0.22, 1.0), (0.0, 100.0), (-0.22, 1.0))):
+        for side, y in (("left", 0.2), ("right", -0.2)):
+            chassis.wheel(urdf, f"{side}{number}", (x, y), surface=Surface(friction))
+    urdf.plugin("libgazebo_ros_skid_steer_drive.so", diff_tags(chassis, 3, torque=4.0))
+
+    (row,) = measure_robot(WheelRobot("rough_middle", urdf.text()), [engine])
+
+    assert row.off_percent <= WITHIN[0], row

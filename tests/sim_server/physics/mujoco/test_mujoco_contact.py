@@ -99,6 +99,16 @@ def test_contacts_slide_when_friction_times_slip_is_noticeable() -> None:
     assert find_sliding_rows(Contacts(), np.array([9.0, *slow, *slow])) is None
 
 
+def test_steep_contacts_slide_when_they_slip_faster_than_sticking_ones_creep() -> None:
+    creeping, sliding = [0.0, 0.002, 0.0], [0.0, 0.003, 0.0]
+    contacts = Contacts(friction=np.full((4, 5), 10.0))
+
+    rows = find_sliding_rows(contacts, np.array([9.0, *creeping, *sliding]))
+
+    assert rows is not None
+    assert rows.normals.tolist() == [4]
+
+
 @given(
     st.lists(st.floats(-2e-5, 2e-5), min_size=7, max_size=7), st.sampled_from([0.5, 0.7, 1.0, 2.0])
 )
