@@ -13,12 +13,19 @@ import msgspec
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.spawner.spawn.description_xml import DescriptionError, parse_description
-from zensim.spawner.spawn.search_paths import SearchPaths, is_package, to_package_uris
+from zensim.spawner.spawn.search_paths import (
+    SearchPaths,
+    is_package,
+    list_folders,
+    read_manifest,
+    to_package_uris,
+)
 
 YAML_SUFFIXES = (".yaml", ".yml")
 MAX_CONTROLLERS_BYTES = 1 << 18
 MAX_SCANNED_FILES = 1000
 CONTROL_PLUGIN = "ros2_control"
+INSTALLED = "share"
 DRIVE_TYPE = re.compile(
     r"\b(?:diff_drive_controller/Diff|mecanum_drive_controller/Mecanum"
     r"|omni_wheel_drive_controller/Omni|tricycle_controller/Tricycle"
@@ -70,7 +77,8 @@ def find_controller_files(text: str, paths: SearchPaths) -> ControllerTexts:
         return ControllerTexts()
     if named := list(_list_parameters(robot)):
         return _read_named(named, paths)
-    return ControllerTexts() if _has_drive(robot) else _find_fitting(robot, paths)
+    drives = any(DRIVE_FILE.search(one.get("filename", "")) for one in robot.iter("plugin"))
+    return ControllerTexts() if drives else _find_fitting(robot, paths)
 
 
 def _list_parameters(robot: ET.Element) -> Iterator[str]:
@@ -78,10 +86,6 @@ def _list_parameters(robot: ET.Element) -> Iterator[str]:
         if CONTROL_PLUGIN in plugin.get("filename", ""):
             for tag in plugin.findall("parameters"):
                 yield (tag.text or "").strip()
-
-
-def _has_drive(robot: ET.Element) -> bool:
-    return any(DRIVE_FILE.search(plugin.get("filename", "")) for plugin in robot.iter("plugin"))
 
 
 def _read_named(named: Sequence[str], paths: SearchPaths) -> ControllerTexts:
@@ -126,8 +130,9 @@ def _list_uris(name: str) -> Iterator[str]:
 def _find_fitting(robot: ET.Element, paths: SearchPaths) -> ControllerTexts:
     joints = {joint.get("name", "") for joint in robot.iter("joint")}
     fitting = [file for file in _list_yaml_files(paths) if _fits(file, joints)]
+    related = [file for file in fitting if _is_related(file, paths)]
     own = [file for file in fitting if file.parent == paths.folder]
-    for files, why in ((fitting, "the only file here"), (own, "the only file beside it")):
+    for files, why in ((related, "the only file here"), (own, "the only file beside it")):
         if len(files) == 1:
             note = ReportEntry("applied", "controllers", f"{files[0]}, {why} that names its wheels")
             return ControllerTexts((_read_text(files[0]),), (note,))
@@ -136,6 +141,17 @@ def _find_fitting(robot: ET.Element, paths: SearchPaths) -> ControllerTexts:
         for file in fitting
     ]
     return ControllerTexts((), tuple(notes))
+
+
+def _is_related(file: Path, paths: SearchPaths) -> bool:
+    """Whether a file is of this robot: beside it, or of a package named alike or naming its own."""
+    own = [folder for folder in paths.own_folders if is_package(folder)]
+    package = next(filter(is_package, file.parents), None)
+    beside = [folder.parent for folder in own if folder.parent.name != INSTALLED]
+    if not own or package is None or any(file.is_relative_to(folder) for folder in beside):
+        return True
+    word, manifest = package.name.partition("_")[0], read_manifest(package)
+    return any(word == one.name.partition("_")[0] or one.name in manifest for one in own)
 
 
 def _list_yaml_files(paths: SearchPaths) -> Iterator[Path]:
@@ -153,17 +169,10 @@ def _list_yaml_files(paths: SearchPaths) -> Iterator[Path]:
 
 def _list_packages(paths: SearchPaths) -> list[Path]:
     own = [folder for folder in paths.own_folders if is_package(folder)]
-    beside = [child for folder in own for child in _list_folders(folder.parent)]
-    given = [*paths.roots, *(child for root in paths.roots for child in _list_folders(root))]
-    given += [child for folder in given for child in _list_folders(folder)]
+    beside = [child for folder in own for child in list_folders(folder.parent)]
+    given = [*paths.roots, *(child for root in paths.roots for child in list_folders(root))]
+    given += [child for folder in given for child in list_folders(folder)]
     return list(dict.fromkeys((*own, *filter(is_package, (*beside, *given)))))
-
-
-def _list_folders(folder: Path) -> list[Path]:
-    try:
-        return sorted(child for child in folder.iterdir() if child.is_dir())
-    except OSError:
-        return []
 
 
 def _fits(file: Path, joints: set[str]) -> bool:

@@ -146,24 +146,26 @@ def is_package(folder: Path) -> bool:
 
 def read_package_name(folder: Path) -> str:
     """Read the package name in package.xml; empty if there is none."""
-    try:
-        with open_regular_file(folder / "package.xml") as file:
-            head = file.read(MAX_PACKAGE_FILE).decode(errors="replace")
-    except OSError:
-        return ""
-    match = PACKAGE_NAME.search(head)
+    match = PACKAGE_NAME.search(read_manifest(folder))
     return match[1] if match else ""
 
 
-def _read_config(config: Path) -> str:
-    return read_file(config, MAX_TEXT_FILE_BYTES).decode(errors="replace")
+def read_manifest(folder: Path) -> str:
+    """Read package.xml; empty if there is none."""
+    try:
+        with open_regular_file(folder / "package.xml") as file:
+            return file.read(MAX_PACKAGE_FILE).decode(errors="replace")
+    except OSError:
+        return ""
 
 
 def find_model_file(folder: Path) -> Path | None:
     """Find the last file named in model.config, or model.sdf; only inside the folder."""
     config = folder / "model.config"
-    names = MODEL_FILE.findall(_read_config(config)) if config.is_file() else []
-    for name in (*reversed(names), "model.sdf", "model.urdf"):
+    text = (
+        read_file(config, MAX_TEXT_FILE_BYTES).decode(errors="replace") if config.is_file() else ""
+    )
+    for name in (*reversed(MODEL_FILE.findall(text)), "model.sdf", "model.urdf"):
         file = _resolve_file(folder / name)
         if file and file.is_relative_to(folder.resolve()):
             return file
@@ -177,10 +179,11 @@ def _find_package_below(root: Path, name: str) -> Iterator[Path]:
     level = [root]
     for _ in range(3):
         yield from (folder / name for folder in level if (folder / name).is_dir())
-        level = [child for folder in level for child in _list_folders(folder)]
+        level = [child for folder in level for child in list_folders(folder)]
 
 
-def _list_folders(folder: Path) -> list[Path]:
+def list_folders(folder: Path) -> list[Path]:
+    """List the folders in a folder; empty if it cannot be read."""
     try:
         return sorted(child for child in folder.iterdir() if child.is_dir())
     except OSError:

@@ -100,14 +100,43 @@ def test_only_fitting_file_of_a_package_beside_is_read(package: Path) -> None:
     assert found.texts == (DRIVE,)
 
 
-def test_fitting_file_below_a_search_path_is_read(package: Path, tmp_path: Path) -> None:
-    other = make_package(tmp_path / "other" / "repository", "control")
-    (other / "control.yaml").write_text(DRIVE)
-    paths = collect_search_paths([tmp_path / "other"], {})
-
-    found = find_controller_files(ROBOT, paths.with_folder_of(package / "urdf" / "robot.urdf"))
+@pytest.mark.parametrize(
+    ("name", "depends"),
+    [("my_control", ""), ("control", "<exec_depend>my_robot</exec_depend>")],
+    ids=["named alike", "names the description"],
+)
+def test_fitting_file_of_the_robot_below_a_search_path_is_read(
+    name: str, depends: str, package: Path, tmp_path: Path
+) -> None:
+    found = find_beside_another_repository(name, depends, package, tmp_path)
 
     assert found.texts == (DRIVE,)
+
+
+def test_file_of_another_robot_with_wheels_of_the_same_names_is_not_read(
+    package: Path, tmp_path: Path
+) -> None:
+    found = find_beside_another_repository("other_control", "", package, tmp_path)
+
+    assert found.texts == ()
+    assert [note.status for note in found.notes] == ["ignored"]
+
+
+def test_files_of_all_installed_robots_are_not_of_this_one(tmp_path: Path) -> None:
+    package = make_package(tmp_path / "share")
+    (make_package(tmp_path / "share", "other_control") / "control.yaml").write_text(DRIVE)
+
+    assert find(ROBOT, package).texts == ()
+
+
+def find_beside_another_repository(
+    name: str, depends: str, package: Path, tmp_path: Path
+) -> ControllerTexts:
+    other = make_package(tmp_path / "other" / "repository", name)
+    (other / "package.xml").write_text(f"<package><name>{name}</name>{depends}</package>")
+    (other / "control.yaml").write_text(DRIVE)
+    paths = collect_search_paths([tmp_path / "other"], {})
+    return find_controller_files(ROBOT, paths.with_folder_of(package / "urdf" / "robot.urdf"))
 
 
 def test_file_with_arguments_of_a_launch_file_fits_by_the_ends_of_names(package: Path) -> None:
