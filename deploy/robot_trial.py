@@ -82,7 +82,8 @@ def main() -> None:
 def run_trial(request: TrialRequest) -> TrialResult:
     """Read, spawn and drive one robot; an error of any kind is a result."""
     try:
-        with _open_world(request) as world:
+        is_allowed = request.allow_failed_engine
+        with open_trial_world(request.engine, allow_failed_engine=is_allowed) as world:
             return _run(request, world)
     except Error as error:
         return TrialResult(error=f"{error.slug}: {error}")
@@ -102,16 +103,13 @@ def open_trial_world(engine: str, *, allow_failed_engine: bool = False) -> World
     return World(**(ONE_CELL | chosen))
 
 
-def _open_world(request: TrialRequest) -> World:
-    return open_trial_world(request.engine, allow_failed_engine=request.allow_failed_engine)
-
-
 def _run(request: TrialRequest, world: World) -> TrialResult:
     events = world.events
     robot, model, text = _spawn(request, world)
     rest = drive_robot(world, robot, SETTLE_S, AT_REST)
     result = _describe(request.robot, model, robot.report.entries)
-    at_rest = measure_rest(rest, world.control_period)
+    period_s = world.control_period
+    at_rest = measure_rest(rest, period_s)
     result = msgspec.structs.replace(
         result,
         remarks=(*result.remarks, *_compare_readings(text, model)),
@@ -127,8 +125,8 @@ def _run(request: TrialRequest, world: World) -> TrialResult:
         turn = drive_robot(world, robot, DRIVE_S, command)
         result = msgspec.structs.replace(
             result,
-            straight=_make_part(model, _measure(world, straight), STRAIGHT, friction),
-            turn=_make_part(model, _measure(world, turn), command, friction),
+            straight=_make_part(model, measure_twist(straight, period_s), STRAIGHT, friction),
+            turn=_make_part(model, measure_twist(turn, period_s), command, friction),
         )
     failures = _list_failures(events)
     return msgspec.structs.replace(
@@ -192,16 +190,11 @@ def drive_robot(
     return np.array([robot.pose for _ in world.steps(seconds=duration_s)])
 
 
-def _measure(world: World, rows: FloatArray) -> Vec3:
-    return measure_twist(rows, world.control_period)
-
-
 def _describe(robot: RobotCheck, model: Model, report: Sequence[ReportEntry]) -> TrialResult:
-    has_drive = model.drive is not None
     return TrialResult(
         model=model.name,
         drive=str(model.drive.__struct_config__.tag) if model.drive else "",
-        drive_source=_find_drive_source(robot, report) if has_drive else "",
+        drive_source=_find_drive_source(robot, report) if model.drive else "",
         links=len(model.links),
         mass_kg=model.mass_kg,
         remarks=tuple(

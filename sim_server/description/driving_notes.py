@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.description.ground_friction import GroundContact
     from zensim.sim_server.description.model_geometry import FindCorners
+    from zensim.sim_server.description.rest_pose import RestPose
 
 TOLERANCE = 0.02
 """Share by which a robot may deviate without an entry."""
@@ -52,8 +53,8 @@ DRIFT_RAD_S = 0.01
 MIN_TILT_RAD = math.radians(1.0)
 MAX_BLOCKED_RAD = 0.01
 """Range of a joint below which it does not turn."""
-MIN_CLEARANCE_M = 1e-5
-"""Height of a wheel over the ground that is worth a word."""
+MIN_CLEARANCE_M, MIN_BURIED_M = 1e-5, 0.05
+"""Height of a wheel over the ground, and depth of a centre of mass in it, worth a word."""
 NO_LOAD_SHARE = 0.005
 """Share of the weight below which a driven wheel counts as without load."""
 STANDS_SHARE = 0.02
@@ -159,14 +160,33 @@ def _describe_rest(case: _Case, ground: GroundMotion) -> Iterator[str]:
     if not rest.is_stable and (loose := _list_loose_joints(case)):
         yield f"{SINKS}: nothing holds {_name_some(loose)}, and its wheels are on them"
         return
-    if rest.tilt_rad > MAX_TILT_RAD:
-        yield "it falls over: its centre of mass is not above its supports"
     if not rest.is_stable:
+        yield from _describe_fall(model, rest)
         return
+    yield from _describe_buried_masses(model, rest)
     if rest.tilt_rad > MIN_TILT_RAD:
         yield f"it rests tilted by {math.degrees(rest.tilt_rad):.1f} degrees"
     if idle := _list_idle_wheels(model, ground):
         yield f"driven wheels carry no load: {', '.join(idle)}"
+
+
+def _describe_fall(model: Model, rest: RestPose) -> Iterator[str]:
+    wheels = {joint.child for joint in model.joints if joint.name in _driven_wheels(model)}
+    bare = [one.name for one in model.links if one.name in wheels and not one.collisions]
+    if rest.tilt_rad > MAX_TILT_RAD:
+        yield "it falls over: its centre of mass is not above its supports"
+    elif bare:
+        yield f"it falls over: it finds no rest without collisions of {_name_some(bare)}"
+
+
+def _describe_buried_masses(model: Model, rest: RestPose) -> Iterator[str]:
+    """Describe the link whose centre of mass is deepest in the ground."""
+    com = np.array([link.inertial.com_in_link for link in model.links])
+    depths = -rest.frames.points(np.arange(len(com)), com)[:, 2]
+    depths[[not link.collisions for link in model.links]] = 0.0
+    name, depth = model.links[depths.argmax()].name, depths.max()
+    if depth > MIN_BURIED_M:
+        yield f"it swings: the centre of mass of {name!r} is {depth:.2g} m below the ground"
 
 
 def _list_loose_joints(case: _Case) -> list[str]:
@@ -184,7 +204,7 @@ def _name_some(names: Sequence[str]) -> str:
 def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:
     """List the driven wheels, by joint, that do not carry, with their heights over the ground."""
     least = NO_LOAD_SHARE * float(ground.rest.loads.sum())
-    loads = dict.fromkeys(_driven_joints(model).intersection(_wheel_joints(model)), 0.0)
+    loads = dict.fromkeys(_driven_wheels(model), 0.0)
     for one in ground.contacts:
         joint = model.joints[one.link - 1].name if one.link else ""
         if joint in loads:
@@ -203,8 +223,8 @@ def _list_idle_wheels(model: Model, ground: GroundMotion) -> list[str]:
     ]
 
 
-def _wheel_joints(model: Model) -> tuple[str, ...]:
-    return model.drive.wheel_joints if model.drive else ()
+def _driven_wheels(model: Model) -> set[str]:
+    return _driven_joints(model).intersection(model.drive.wheel_joints if model.drive else ())
 
 
 @dataclass(frozen=True)
@@ -310,8 +330,7 @@ def _list_dragged(ground: GroundMotion) -> set[int]:
 
 
 def _describe_dragged(model: Model, ground: GroundMotion) -> str:
-    links = _list_dragged(ground)
-    weight = sum(one.load_n for one in ground.contacts)
+    links, weight = _list_dragged(ground), sum(one.load_n for one in ground.contacts)
     dragged = [one for one in ground.contacts if one.link in links]
     if not dragged:
         return ""
@@ -390,11 +409,10 @@ def _describe_wheelbase(model: Model, column: int) -> str:
     drive = model.drive
     if not isinstance(drive, SteeringDrive) or drive.is_traction_steered or column == 0:
         return ""
-    unsteered = find_middle(model, drive.traction)[0]
+    unsteered, written = find_middle(model, drive.traction)[0], abs(drive.wheelbase_m)
     apart = abs(find_middle(model, drive.steering)[0] - unsteered)
-    if not _differs(apart, abs(drive.wheelbase_m)):
+    if not _differs(apart, written):
         return ""
-    written = abs(drive.wheelbase_m)
     return f"its axles are {apart:.3g} m apart, the drive's wheelbase is {written:.3g} m"
 
 

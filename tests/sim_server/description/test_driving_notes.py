@@ -4,7 +4,16 @@ import pytest
 from tests.models import a_body, a_box, a_cart
 from tests.sim_server.description.plugins.driven_robots import BALLS, a_base, a_tyre, read_driven
 from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial
-from tests.sim_server.description.wheel_models import WheelRobot, list_robots
+from tests.sim_server.description.wheel_models import (
+    DIFF_PLUGIN,
+    Chassis,
+    UrdfText,
+    WheelRobot,
+    a_diff,
+    diff_tags,
+    list_robots,
+)
+from tests.sim_server.description.wheel_models import a_box as box_collision
 from zensim.proto.messages.drive_messages import DiffDrive, DriveOrder, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -126,6 +135,29 @@ def test_robot_that_tips_over_is_told_so_and_nothing_else() -> None:
     (reason,) = reasons(tipping)
 
     assert "falls over" in reason
+
+
+def test_robot_that_falls_over_is_told_which_wheels_have_no_collisions() -> None:
+    urdf = UrdfText("bare")
+    top = box_collision((0.05, 0.05, 0.02), (0.1, 0.0, 0.3))
+    urdf.link("base_link", 7.0, (0.05, 0.15, 0.2), top)
+    for side, y in (("left0", 0.11), ("right0", -0.11)):
+        urdf.link(side, 6.5, (0.06, 0.12, 0.06))
+        urdf.joint(f"{side}_joint", "continuous", ("base_link", side), (0.0, y, 0.0))
+    urdf.plugin(DIFF_PLUGIN, diff_tags(Chassis()))
+
+    (reason,) = reasons(WheelRobot("bare", urdf.text()).model())
+
+    assert reason.startswith("it falls over")
+    assert "'left0'" in reason
+    assert "'right0'" in reason
+
+
+def test_link_whose_centre_of_mass_is_in_the_ground_is_named() -> None:
+    (reason,) = reasons(a_diff("buried", Chassis(com=(0.0, 0.0, -2.0))).model())
+
+    assert reason.startswith("it swings")
+    assert "'base_link' is 1.9 m below the ground" in reason
 
 
 def test_robot_that_rests_tilted_is_told_the_angle() -> None:
