@@ -30,7 +30,7 @@ from zensim.proto.messages.telemetry_messages import (
     GetModelsResponse,
     Snapshot,
 )
-from zensim.proto.network_protocols import Sample
+from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.replay_catalog import GET_STATE, PAUSE, RESUME, SEEK, SET_RATE
 from zensim.proto.service_catalog import (
     GET_ASSET,
@@ -131,7 +131,7 @@ class RecordedPlayback:
         self._clock.set_rate(within, self.position_ns, self._wall())
 
 
-class RecordedSubscription:
+class RecordedSubscription(Subscription):
     """The messages of a key expression up to the position of a playback.
 
     Attributes:
@@ -172,11 +172,6 @@ class RecordedSubscription:
             taken.append(Sample(topic.name.strip("/"), payload, Format.CDR.value))
             self._pull()
         return list(taken)
-
-    def newest(self) -> Sample | None:
-        """Take all messages and return the last."""
-        taken = self.take()
-        return taken[-1] if taken else None
 
     def close(self) -> None:
         """End the subscription."""

@@ -18,6 +18,7 @@ from zensim.proto.network_protocols import (
     Arrivals,
     Sample,
     Stamp,
+    Subscription,
 )
 from zensim.proto.service_catalog import Request, Response, Service, require_ok
 
@@ -69,7 +70,7 @@ class MemoryPublisher:
         """Do nothing: a publisher has nothing to undeclare."""
 
 
-class MemorySubscription:
+class MemorySubscription(Subscription):
     """The newest messages on a key expression."""
 
     def __init__(self, bus: "MemoryBus", key: str, depth: int) -> None:
@@ -80,11 +81,6 @@ class MemorySubscription:
     def take(self) -> list[Sample]:
         """Take all messages received, oldest first."""
         return _drain(self.samples)
-
-    def newest(self) -> Sample | None:
-        """Take all messages and return the last."""
-        taken = self.take()
-        return taken[-1] if taken else None
 
     def close(self) -> None:
         """End the subscription."""

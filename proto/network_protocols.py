@@ -62,6 +62,8 @@ class Subscription(Closable, Protocol):
 
     def newest(self) -> Sample | None:
         """Take all messages and return the last."""
+        taken = self.take()
+        return taken[-1] if taken else None
 
 
 class ServiceCall(Protocol):

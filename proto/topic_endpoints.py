@@ -210,7 +210,7 @@ class TopicPublisher:
             cache.close()
 
 
-class TopicSubscription:
+class TopicSubscription(Subscription):
     """Subscription of a topic on its plain key and on its ROS 2 keys."""
 
     def __init__(self, plain: Subscription, ros: Sequence[Subscription]) -> None:
@@ -223,11 +223,6 @@ class TopicSubscription:
         for subscription in self._ros:
             taken += [to_plain_sample(sample) for sample in subscription.take()]
         return taken
-
-    def newest(self) -> Sample | None:
-        """Take all queued messages and return the last."""
-        taken = self.take()
-        return taken[-1] if taken else None
 
     def close(self) -> None:
         """Undeclare the subscriptions."""

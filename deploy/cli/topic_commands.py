@@ -20,7 +20,7 @@ from zensim.deploy.cli.command_session import (
 )
 from zensim.deploy.cli.driven_robots import await_driver
 from zensim.deploy.cli.topic_search import ABSENCE_TIMEOUT_S, note_absence
-from zensim.proto.bus.bus_session import Bus, BusPublisher, BusSubscription
+from zensim.proto.bus.bus_session import Bus, BusPublisher
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -43,6 +43,7 @@ from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
 from zensim.proto.verbosity import print_announcement, print_note
 from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.client.topic_reader import TopicReader, keep_raw
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {
@@ -263,17 +264,18 @@ def echo(
     """Print the messages of a topic, latched ones first."""
     with open_client("echo", server) as client:
         limit = 1 if once else count
-        subscription = client.bus.subscribe_copying(key.strip("/"), QUEUE_DEPTH)
+        bare, printed = key.strip("/"), 0
+        subscription = client.bus.subscribe_copying(bare, QUEUE_DEPTH)
         # tf_static and robot_description are published once, before this command started.
-        samples = get_last_messages(client.bus, key.strip("/"))
-        printed = 0
-        while True:
+        reader = TopicReader(subscription, keep_raw, first=get_last_messages(client.bus, bare))
+        for samples in _receive(client, "echo", bare, reader):
             for sample in samples:
                 _print_sample(sample, as_json=as_json)
                 printed += 1
                 if printed == limit:
                     return
-            samples = _wait_for_samples(client, subscription, key.strip("/"), timeout)
+            if reader.is_silent(timeout or math.inf):
+                raise TimeoutError(f"no message on {bare} within {timeout:g} s")
 
 
 def get_last_messages(bus: Bus, key: str) -> list[Sample]:
@@ -291,19 +293,17 @@ def _is_of_topic(key: str) -> bool:
     return not key.startswith("sim/") or last_chunk(key) in GETTABLE_NAMES
 
 
-def _wait_for_samples(
-    client: SimClient, subscription: BusSubscription, key: str, timeout_s: float
-) -> list[Sample]:
-    began_s, is_noted = time.monotonic(), False
-    while not (samples := subscription.take()):
-        waited_s = time.monotonic() - began_s
-        if waited_s > ABSENCE_TIMEOUT_S and not is_noted:
-            note_absence(client, "echo", key)
-            is_noted = True
-        if waited_s > (timeout_s or math.inf):
-            raise TimeoutError(f"no message on {key} within {timeout_s:g} s")
+def _receive(
+    client: SimClient, command: str, key: str, reader: TopicReader[Sample]
+) -> Iterator[list[Sample]]:
+    """Take messages again and again; note once that there is no such topic."""
+    is_looked_up = False
+    while True:
+        yield reader.take()
+        if not is_looked_up and reader.last is None and reader.is_silent(ABSENCE_TIMEOUT_S):
+            is_looked_up = True
+            note_absence(client, command, key)
         time.sleep(POLL_S)
-    return samples
 
 
 def _print_sample(sample: Sample, *, as_json: bool) -> None:
@@ -333,11 +333,12 @@ def hz(given: MeasureOptions) -> None:
         _print_rate(arrivals, as_json=given.as_json)
 
     with open_client("hz", given) as client:
-        measure_topic(client, given, receive, report)
+        measure_topic(client, "hz", given, receive, report)
 
 
 def measure_topic(
     client: SimClient,
+    command: str,
     given: MeasureOptions,
     receive: Callable[[float, list[Sample]], None],
     report: Callable[[], None],
@@ -346,26 +347,23 @@ def measure_topic(
 
     Args:
         client: Of the world of the topic.
+        command: Name of the command, for notes.
         given: Which topic, and for how long.
         receive: Called with the monotonic time [s] and the new messages.
         report: Called every second, and at least once.
     """
     key = given.key.strip("/")
-    subscription = client.bus.subscribe_copying(key, QUEUE_DEPTH)
+    reader = TopicReader(client.bus.subscribe_copying(key, QUEUE_DEPTH), keep_raw)
     end = time.monotonic() + (given.duration or math.inf)
-    look_at = time.monotonic() + ABSENCE_TIMEOUT_S
     report_at = min(time.monotonic() + 1.0, end)
-    while (now := time.monotonic()) <= end or report_at <= end:
-        samples = subscription.take()
-        look_at = math.inf if samples else look_at
+    for samples in _receive(client, command, key, reader):
+        now = time.monotonic()
+        if now > end and report_at > end:
+            return
         receive(now, samples)
-        if now >= look_at:
-            look_at = math.inf
-            note_absence(client, "hz", key)
         if now >= report_at:
             report_at = now + 1.0
             report()
-        time.sleep(POLL_S)
 
 
 def _print_rate(arrivals: list[float], *, as_json: bool) -> None:

@@ -146,7 +146,7 @@ def bw(given: BandwidthOptions) -> None:
         _print_bandwidth(arrivals, as_json=given.as_json)
 
     with open_client("topic bw", given) as client:
-        measure_topic(client, given, receive, report)
+        measure_topic(client, "topic bw", given, receive, report)
 
 
 def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> None:
@@ -195,7 +195,7 @@ def delay(given: MeasureOptions) -> None:
         def report() -> None:
             _print_delays(delays, as_json=given.as_json)
 
-        measure_topic(client, given, receive, report)
+        measure_topic(client, "topic delay", given, receive, report)
 
 
 def read_stamp_ns(sample: Sample) -> int:

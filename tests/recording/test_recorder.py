@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus, MemoryToken, MemoryTokenWatch
-from zensim.api.in_process_recorder import NewestOfWorld, WorldSubscription
+from zensim.api.in_process_recorder import NewestOfWorld
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import (
@@ -392,7 +392,7 @@ def test_messages_of_the_time_after_a_reset_are_in_its_file(
     bus: MemoryBus, make: Make, period_ns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def subscribe_newest(key: str, depth: int, keeps_all: Callable[[str], bool]) -> NewestOfWorld:
-        return NewestOfWorld(WorldSubscription(bus.subscribe(key, depth), ""), keeps_all)
+        return NewestOfWorld(bus.subscribe(key, depth), keeps_all)
 
     monkeypatch.setattr(bus, "subscribe_newest", subscribe_newest, raising=False)
     recorder, sink = make(period_ns=period_ns, topics=("r1/*", "clock", "sim/default/inputs"))

@@ -4,6 +4,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +14,7 @@ from zensim.api.world_recorder import WorldRecorder
 from zensim.proto.memory_bus import MemorySubscription, MemoryTokenWatch
 from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.network_protocols import Sample
+from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.topic_catalog import CLOCK, LINK_STATES, MAP, MODEL_STATES
 from zensim.recording.entity_files import EntityFiles
@@ -21,6 +22,7 @@ from zensim.recording.recorder import Recorder, RecorderSettings
 from zensim.recording.recording_parts import PartSettings
 from zensim.recording.recording_session import RecordingSession, SessionSettings, make_start
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
+from zensim.spawner.client.topic_reader import TopicReader
 
 LOG = logging.getLogger(__name__)
 ROOT_TOPICS: Final = {one.suffix: one for one in (MAP, MODEL_STATES, LINK_STATES)}
@@ -132,12 +134,14 @@ class RecordedWorld:
         self._subscriptions: list[MemorySubscription] = []
         self._clock_key = CLOCK.key(server.world.name)
 
-    def subscribe(self, key: str, depth: int = 1) -> "WorldSubscription":
-        """Subscribe to what is published from now on."""
+    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+        """Subscribe to what is published from now on; messages of a root topic have its key."""
         subscription = self._server.subscribe(self._find_key(key), depth)
         subscription.samples.clear()
         self._subscriptions.append(subscription)
-        return WorldSubscription(subscription, key if key in ROOT_TOPICS else "")
+        if key not in ROOT_TOPICS:
+            return subscription
+        return TopicReader(subscription, partial(_rename, key=key))
 
     def expect_key(self, key: str) -> None:
         """Do nothing: keys of a process are compared once."""
@@ -187,32 +191,10 @@ class RecordedWorld:
         return key if root is None else root.key(self._server.world.name)
 
 
-class WorldSubscription:
-    """Messages of a world, on a root topic with its key."""
-
-    def __init__(self, subscription: MemorySubscription, root: str) -> None:
-        self._subscription = subscription
-        self._root = root
-
-    def take(self) -> list[Sample]:
-        """Take all messages received, oldest first."""
-        samples = self._subscription.take()
-        return [_rename(one, self._root) for one in samples] if self._root else samples
-
-    def newest(self) -> Sample | None:
-        """Take all messages and return the last."""
-        taken = self.take()
-        return taken[-1] if taken else None
-
-    def close(self) -> None:
-        """End the subscription."""
-        self._subscription.close()
-
-
 class NewestOfWorld:
     """The newest message of each key until it is taken, and all of some keys."""
 
-    def __init__(self, subscription: WorldSubscription, keeps_all: Callable[[str], bool]) -> None:
+    def __init__(self, subscription: Subscription, keeps_all: Callable[[str], bool]) -> None:
         self._subscription = subscription
         self._keeps_all = keeps_all
         self._newest: dict[str, Sample] = {}

@@ -40,6 +40,13 @@ def test_list_has_the_topics_of_server_and_robots(driven: Server) -> None:
     assert set(done.out.split()) >= SERVER_TOPICS | ROBOT_TOPICS
 
 
+@pytest.mark.parametrize("verb", ["bw", "delay"])
+def test_note_on_a_topic_that_is_not_there_names_the_command(driven: Server, verb: str) -> None:
+    absent = run_at(driven, app, verb, "sim/default/clokc", "--duration", "1")
+
+    assert f"zensim topic {verb}: note: there is no topic 'sim/default/clokc' yet" in absent.err
+
+
 def test_list_selects_by_a_part_of_the_name(driven: Server) -> None:
     found = run_at(driven, app, "list", "odom", "--json").json()
 
