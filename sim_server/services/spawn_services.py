@@ -43,6 +43,23 @@ from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
+UNDERGROUND_M = 0.001
+MAX_NAMED = 3
+NOTHING_BELOW = "nothing is below it, so that it falls; spawn it above a floor of the world"
+SEARCH_RISE_M = 0.5
+"""Height above the pose from which the floor is searched: a frame may be at its soles or below."""
+SEARCH_DEPTH_M = 1e6
+SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
+"""Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
+MIN_SPARE_NS = NANOSECONDS // 1000
+"""Least time until the next step of which spawning uses a part."""
+MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
+"""Most of it in a turn, and half of what is left: others' commands and requests come in between."""
+MAX_PARSES_AHEAD = 64
+"""Most descriptions that are parsed at once."""
+ParsedSpawnModel = tuple[Model, str] | SimError
+SHIPPED_SCHEME = "zensim://"
+
 
 def missing_assets(
     store: AssetStore, request: asset_messages.MissingAssetsRequest
@@ -70,10 +87,6 @@ def get_asset(
     """Return a piece of a file."""
     data = store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
     return asset_messages.GetAssetResponse(Result(), data, store.size(request.sha256))
-
-
-UNDERGROUND_M = 0.001
-MAX_NAMED = 3
 
 
 def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityReport:
@@ -202,12 +215,6 @@ def _resolve_spawn(
     return validated, notes
 
 
-NOTHING_BELOW = "nothing is below it, so that it falls; spawn it above a floor of the world"
-SEARCH_RISE_M = 0.5
-"""Height above the pose from which the floor is searched: a frame may be at its soles or below."""
-SEARCH_DEPTH_M = 1e6
-
-
 def is_above_nothing(spawning: Spawning, model: Model, pose: FloatArray) -> bool:
     """Whether a model that moves is placed where the world has no floor."""
     world, store = spawning.world, spawning.descriptions.store
@@ -268,17 +275,6 @@ def _make_overlap_notes(others: list[str]) -> list[ReportEntry]:
     named = ", ".join(f"'{name}'" for name in others[:MAX_NAMED])
     more = f" and {len(others) - MAX_NAMED} more" if len(others) > MAX_NAMED else ""
     return [ReportEntry("suspicious", "initial_pose", f"overlaps entity {named}{more}")]
-
-
-SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
-"""Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
-MIN_SPARE_NS = NANOSECONDS // 1000
-"""Least time until the next step of which spawning uses a part."""
-MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
-"""Most of it in a turn, and half of what is left: others' commands and requests come in between."""
-MAX_PARSES_AHEAD = 64
-"""Most descriptions that are parsed at once."""
-ParsedSpawnModel = tuple[Model, str] | SimError
 
 
 def spawn_entities(
@@ -451,9 +447,6 @@ def _find_slice_end(spawning: Spawning) -> int:
 
 def _make_refused_result(error: SimError) -> SpawnResult:
     return SpawnResult(Result(int(error.code), str(error)))
-
-
-SHIPPED_SCHEME = "zensim://"
 
 
 def get_spawnables(

@@ -25,6 +25,11 @@ Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=256)]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=1000)]
 Vector: TypeAlias = tuple[float, float, float]
 Pixels: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=1 << 16)]
+NewValueType: TypeAlias = (
+    bool | float | Text | Annotated[tuple[float, ...], msgspec.Meta(max_length=4)]
+)
+_CONTROLS: Final[WeakValueDictionary[str, GuiBaseProps]] = WeakValueDictionary()
+"""Properties of all controls that are there, by uuid."""
 
 
 class ViewerCameraMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
@@ -39,11 +44,6 @@ class ViewerCameraMessage(msgspec.Struct, tag_field="type", tag=True, forbid_unk
     image_width: Pixels
     look_at: Vector
     up_direction: Vector
-
-
-NewValueType: TypeAlias = (
-    bool | float | Text | Annotated[tuple[float, ...], msgspec.Meta(max_length=4)]
-)
 
 
 class NewValue(msgspec.Struct, forbid_unknown_fields=True):
@@ -172,10 +172,6 @@ def _list_values(value: NewValueType) -> tuple[float, ...]:
     if isinstance(value, str):
         return ()
     return value if isinstance(value, tuple) else (value,)
-
-
-_CONTROLS: Final[WeakValueDictionary[str, GuiBaseProps]] = WeakValueDictionary()
-"""Properties of all controls that are there, by uuid."""
 
 
 def note_control(message: Message) -> None:

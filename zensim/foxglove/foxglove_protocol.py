@@ -16,6 +16,34 @@ MAX_UINT32: Final = (1 << 32) - 1
 
 INFO, WARNING, ERROR = 0, 1, 2
 """Levels of a status."""
+ParameterValue: TypeAlias = bool | int | float | str | list[bool | int | float | str] | None
+_WRITE_TEXT: Final = msgspec.json.Encoder()
+MAX_DETAIL: Final = 200
+_CLIENT_DATA: Final = struct.Struct("<BI")
+_CALL: Final = struct.Struct("<BIII")
+_TIME: Final = struct.Struct("<BQ")
+_DATA: Final = struct.Struct("<BIQ")
+_ASSET: Final = struct.Struct("<BIBI")
+CLIENT_DATA_OP, CALL_OP = 1, 2
+DATA_OP, TIME_OP, RESPONSE_OP, ASSET_OP = 1, 2, 3, 4
+# Websocket frames are written here, many at once: a call of the library for each costs ten times
+# as much. Those of a server are not masked.
+_TEXT_FRAME: Final = 0x81
+_BINARY_FRAME: Final = 0x82
+"""Final frames of messages."""
+_SHORT, _MEDIUM = 126, 1 << 16
+_MEDIUM_HEAD: Final = struct.Struct(">BBH")
+_LONG_HEAD: Final = struct.Struct(">BBQ")
+Capability = Literal["clientPublish", "parameters", "parametersSubscribe", "services"]
+WATCH_CAPABILITIES: Final = ("time", "assets")
+CONTROL_CAPABILITIES: Final[tuple[Capability, ...]] = (
+    "clientPublish",
+    "parameters",
+    "parametersSubscribe",
+    "services",
+)
+CONTROL_ENCODINGS: Final = ("cdr", "json")
+"""Encodings of what clients publish and call, the preferred one first."""
 
 
 class ServerMessage(msgspec.Struct, frozen=True, tag_field="op", rename="camel"):
@@ -94,9 +122,6 @@ class ServiceCallFailure(ServerMessage, frozen=True, tag="serviceCallFailure"):
     service_id: int
     call_id: int
     message: str
-
-
-ParameterValue: TypeAlias = bool | int | float | str | list[bool | int | float | str] | None
 
 
 class WorldParameter(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -238,15 +263,6 @@ class MalformedMessage(ValueError):
 
 
 _READ_TEXT: Final = msgspec.json.Decoder(TextMessage)
-_WRITE_TEXT: Final = msgspec.json.Encoder()
-MAX_DETAIL: Final = 200
-_CLIENT_DATA: Final = struct.Struct("<BI")
-_CALL: Final = struct.Struct("<BIII")
-_TIME: Final = struct.Struct("<BQ")
-_DATA: Final = struct.Struct("<BIQ")
-_ASSET: Final = struct.Struct("<BIBI")
-CLIENT_DATA_OP, CALL_OP = 1, 2
-DATA_OP, TIME_OP, RESPONSE_OP, ASSET_OP = 1, 2, 3, 4
 
 
 def decode_client_message(raw: str | bytes) -> AnyClientMessage:
@@ -302,16 +318,6 @@ def encode_asset(request_id: int, content: bytes | None, error: str = "") -> byt
     )
 
 
-# Websocket frames are written here, many at once: a call of the library for each costs ten times
-# as much. Those of a server are not masked.
-_TEXT_FRAME: Final = 0x81
-_BINARY_FRAME: Final = 0x82
-"""Final frames of messages."""
-_SHORT, _MEDIUM = 126, 1 << 16
-_MEDIUM_HEAD: Final = struct.Struct(">BBH")
-_LONG_HEAD: Final = struct.Struct(">BBQ")
-
-
 def frame_data(subscription: int, time_ns: int, payload: bytes) -> bytes:
     """Make the websocket frame of a message on a topic.
 
@@ -338,15 +344,3 @@ def _make_frame_head(kind: int, size: int) -> bytes:
     if size < _MEDIUM:
         return _MEDIUM_HEAD.pack(kind, _SHORT, size)
     return _LONG_HEAD.pack(kind, _SHORT + 1, size)
-
-
-Capability = Literal["clientPublish", "parameters", "parametersSubscribe", "services"]
-WATCH_CAPABILITIES: Final = ("time", "assets")
-CONTROL_CAPABILITIES: Final[tuple[Capability, ...]] = (
-    "clientPublish",
-    "parameters",
-    "parametersSubscribe",
-    "services",
-)
-CONTROL_ENCODINGS: Final = ("cdr", "json")
-"""Encodings of what clients publish and call, the preferred one first."""

@@ -15,6 +15,11 @@ Triangle = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 SUBDIVISIONS = 4
 """Parts of an icosahedron's edge: 162 corners, at most 1.8 % inside the sphere, six on the axes."""
 CONE_SIDES = 32
+PRISM_URI = "zensim://solids/prism/"
+"""Followed by x and y [m] of three corners; from z = 0 to 1, scaled by 1, 1, height."""
+_PRISM = re.compile(re.escape(PRISM_URI) + r"(-?\d{1,12}(?:\.\d{1,9})?,?){6}")
+PRISM_CORNERS = 3
+MIN_AREA_M2 = 1e-10
 
 
 def make_ellipsoid(radii: Vec3) -> Shape:
@@ -27,12 +32,6 @@ def make_ellipsoid(radii: Vec3) -> Shape:
 def make_cone(radius: float, length: float) -> Shape:
     """Make a cone along z: base radius [m], length [m], apex at z = length / 2, as in SDF."""
     return Shape("mesh", (radius, radius, length), mesh=CONE_URI)
-
-
-PRISM_URI = "zensim://solids/prism/"
-"""Followed by x and y [m] of three corners; from z = 0 to 1, scaled by 1, 1, height."""
-_PRISM = re.compile(re.escape(PRISM_URI) + r"(-?\d{1,12}(?:\.\d{1,9})?,?){6}")
-PRISM_CORNERS = 3
 
 
 def make_prisms(outline: Sequence[tuple[float, float]], height: float) -> list[Shape]:
@@ -49,9 +48,6 @@ def make_prisms(outline: Sequence[tuple[float, float]], height: float) -> list[S
         )
         for tri in triangles
     ]
-
-
-MIN_AREA_M2 = 1e-10
 
 
 def cut_ears(outline: Sequence[tuple[float, float]]) -> list[Triangle]:

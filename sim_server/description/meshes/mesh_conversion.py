@@ -54,6 +54,14 @@ MAX_PIECE_TRIANGLES = 2_500
 """The engine loads such a piece of a static mesh in a few milliseconds."""
 MAX_VISUAL_TRIANGLES = 20_000
 """Triangles of a visual: 1 MB, which is sent in one message."""
+ConversionKey = tuple[str, str, int]
+"""sha256 of a file, the purpose, and the maximum count of triangles."""
+MAX_SOURCE_PIXELS_IN_ALL = 1 << 27
+"""Pixels that are decoded for a robot or a world: 6 s of CPU."""
+MAX_IMAGE_BYTES_IN_ALL = 48 << 20
+"""Bytes of the reduced images of a robot or a world; further ones become their mean colour."""
+MAX_PARTS = 64
+"""Parts of different materials of one visual."""
 
 
 class ConvertedPart(NamedTuple):
@@ -62,10 +70,6 @@ class ConvertedPart(NamedTuple):
     mesh: str
     rgba: Quat | None = None
     texture: Texture | None = None
-
-
-ConversionKey = tuple[str, str, int]
-"""sha256 of a file, the purpose, and the maximum count of triangles."""
 
 
 @dataclass
@@ -117,14 +121,6 @@ class MeshConversions:
         self.image_bytes += len(reduced.data)
         has_room = self.image_bytes <= MAX_IMAGE_BYTES_IN_ALL
         return (self.store(reduced.data) if has_room else ""), reduced.mean
-
-
-MAX_SOURCE_PIXELS_IN_ALL = 1 << 27
-"""Pixels that are decoded for a robot or a world: 6 s of CPU."""
-MAX_IMAGE_BYTES_IN_ALL = 48 << 20
-"""Bytes of the reduced images of a robot or a world; further ones become their mean colour."""
-MAX_PARTS = 64
-"""Parts of different materials of one visual."""
 
 
 @dataclass

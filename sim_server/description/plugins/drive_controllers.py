@@ -110,6 +110,8 @@ UNUSED = {
         "not limited",
     ),
 }  # fmt: skip
+RADIUS, WHEELBASE = "traction_wheels_radius", "wheelbase"
+TRACTION_TRACK, STEERING_TRACK = "traction_track_width", "steering_track_width"
 
 
 def _read_diagonal(tags: PluginTags, tag: str, default: tuple[float, ...]) -> tuple[float, ...]:
@@ -447,10 +449,6 @@ def _choose_by_tags(tags: PluginTags) -> ChooseLength:
         return _choose_length(tags, name, measured, name.replace("_", " "))
 
     return choose
-
-
-RADIUS, WHEELBASE = "traction_wheels_radius", "wheelbase"
-TRACTION_TRACK, STEERING_TRACK = "traction_track_width", "steering_track_width"
 
 
 def complete_steering(

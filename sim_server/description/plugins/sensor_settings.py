@@ -61,6 +61,32 @@ CLOUD_SCANNERS = ("gazebo_ros_velodyne",)
 OLD_CLOUD_SCANNERS = ("gazebo_ros_block_laser",)
 TRIGGERED_CAMERA = "gazebo_ros_triggered"
 PLANAR_SCANNERS = ("gazebo_ros_laser", "gazebo_ros_gpu_laser")
+SONAR_ROWS = 9
+"""Rays along each axis of a cone."""
+ENU = "ENU"
+CAMERA_KINDS: dict[str, CameraKind] = {
+    "camera": "rgb",
+    "multicamera": "rgb",
+    "wideanglecamera": "rgb",
+    "wideangle_camera": "rgb",
+    "depth": "rgbd",
+    "depth_camera": "depth",
+    "rgbd": "rgbd",
+    "rgbd_camera": "rgbd",
+}
+RGB_FORMATS = ("R8G8B8", "RGB_INT8", "B8G8R8", "BGR_INT8")
+MAX_PINHOLE_RAD = 2.0
+"""Field of view of a camera whose lens shows more than a pinhole can."""
+DEFAULT_MIN_DEPTH_M = 0.4
+"""Least depth of the plug-ins of gazebo_ros."""
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+PLUGIN_DISTORTION = (
+    ("distortionK1", "distortion_k1"),
+    ("distortionK2", "distortion_k2"),
+    ("distortionT1", "distortion_t1"),
+    ("distortionT2", "distortion_t2"),
+    ("distortionK3", "distortion_k3"),
+)
 
 
 def read_settings(source: SensorSource) -> SensorSettings | None:
@@ -181,10 +207,6 @@ def _add_plugin_noise(source: SensorSource, noise: Noise) -> Noise:
     return noise if noise != NO_NOISE else make_gaussian(stddev)
 
 
-SONAR_ROWS = 9
-"""Rays along each axis of a cone."""
-
-
 def read_sonar(source: SensorSource) -> RaySensor:
     """Read a <sonar>: a cone whose radius is that at its greatest range."""
     nearest = read_value(source.tags, "sonar/min", 0.0)
@@ -207,9 +229,6 @@ def read_sonar(source: SensorSource) -> RaySensor:
         radiation_type=RADIATION_TYPES["ultrasound"],
         sees_itself=source.tags.flag("sees_itself", default=False),
     )
-
-
-ENU = "ENU"
 
 
 def read_imu(source: SensorSource) -> ImuSensor:
@@ -367,31 +386,6 @@ def read_air_pressure(source: SensorSource) -> AirPressureSensor:
         pressure=read_noise(source.tags, "air_pressure/pressure/noise"),
         reference_altitude_m=altitude if source.tags.has(path) else None,
     )
-
-
-CAMERA_KINDS: dict[str, CameraKind] = {
-    "camera": "rgb",
-    "multicamera": "rgb",
-    "wideanglecamera": "rgb",
-    "wideangle_camera": "rgb",
-    "depth": "rgbd",
-    "depth_camera": "depth",
-    "rgbd": "rgbd",
-    "rgbd_camera": "rgbd",
-}
-RGB_FORMATS = ("R8G8B8", "RGB_INT8", "B8G8R8", "BGR_INT8")
-MAX_PINHOLE_RAD = 2.0
-"""Field of view of a camera whose lens shows more than a pinhole can."""
-DEFAULT_MIN_DEPTH_M = 0.4
-"""Least depth of the plug-ins of gazebo_ros."""
-DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-PLUGIN_DISTORTION = (
-    ("distortionK1", "distortion_k1"),
-    ("distortionK2", "distortion_k2"),
-    ("distortionT1", "distortion_t1"),
-    ("distortionT2", "distortion_t2"),
-    ("distortionK3", "distortion_k3"),
-)
 
 
 def read_camera(source: SensorSource) -> CameraSensor:

@@ -98,6 +98,24 @@ if TYPE_CHECKING:
 
     from zensim.proto.messages.model_messages import Quat
 
+GROUND_MODEL = b"""<model name="ground_plane"><static>true</static><link name="link">
+<collision name="collision"><geometry><plane/></geometry></collision></link></model>"""
+MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
+MAX_REAL_TIME_FACTOR = 1000.0
+MAX_GRAVITY = 1000.0
+"""Gravity along an axis [m/s^2]: four times that of the sun."""
+MAX_MAGNETIC_FIELD_T = 10.0
+"""Field along an axis: ten times that of a strong magnet."""
+MAX_MODELS = 5000
+SUN, GROUND = "sun", "ground_plane"
+"""Names of the models that need no file."""
+MODEL_SCHEME = "model://"
+XACRO_PREFIX = "{http://www.ros.org/wiki/xacro}"
+SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
+"""Errors of models that are left out; other errors are those of the world."""
+_NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
+MAX_ENTITY_NAME_LENGTH = 56
+
 
 def read_named_pose(frame: Element, name: str, origin: Origin) -> BoundedPose:
     """Read a <frame> of a world as a named pose.
@@ -131,12 +149,6 @@ def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
         raise ModelError(f"{where}: {x:g} {y:g} {z:g}; use metres > 0", slug="sdf.named_pose")
     upper = Vector3(x / 2.0, y / 2.0, z / 2.0)
     return Bounds(BoundsType.BOX, (upper, Vector3(-upper.x, -upper.y, -upper.z)))
-
-
-GROUND_MODEL = b"""<model name="ground_plane"><static>true</static><link name="link">
-<collision name="collision"><geometry><plane/></geometry></collision></link></model>"""
-MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
-MAX_REAL_TIME_FACTOR = 1000.0
 
 
 def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
@@ -187,21 +199,6 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
     if not text:
         return None
     return read_rgba(text, where=f"{owner.tag}, {tag}", slug="sdf.number", report=None)
-
-
-MAX_GRAVITY = 1000.0
-"""Gravity along an axis [m/s^2]: four times that of the sun."""
-MAX_MAGNETIC_FIELD_T = 10.0
-"""Field along an axis: ten times that of a strong magnet."""
-MAX_MODELS = 5000
-SUN, GROUND = "sun", "ground_plane"
-"""Names of the models that need no file."""
-MODEL_SCHEME = "model://"
-XACRO_PREFIX = "{http://www.ros.org/wiki/xacro}"
-SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
-"""Errors of models that are left out; other errors are those of the world."""
-_NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
-MAX_ENTITY_NAME_LENGTH = 56
 
 
 @dataclass

@@ -84,6 +84,17 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.link_surfaces import UrdfMaterial
 
 SPRING_KINDS = ("revolute", "continuous", "prismatic")
+ROUND_KINDS: dict[str, Literal["sphere", "cylinder", "capsule"]] = {
+    "sphere": "sphere",
+    "cylinder": "cylinder",
+    "capsule": "capsule",
+}
+JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
+LIMITED_KINDS = ("revolute", "prismatic")
+DEFAULT_AXIS = "1 0 0"
+"""Axis of a joint without one. Source: URDF."""
+UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")
+"""Elements whose plug-ins may expand xacro themselves."""
 
 
 @dataclass
@@ -362,13 +373,6 @@ def _read_solid(solid: Element, where: str, report: ParseReport) -> Shape:
     return Shape(ROUND_KINDS[solid.tag], (radius, length, 0.0))
 
 
-ROUND_KINDS: dict[str, Literal["sphere", "cylinder", "capsule"]] = {
-    "sphere": "sphere",
-    "cylinder": "cylinder",
-    "capsule": "capsule",
-}
-
-
 def _read_scale(mesh: Element, where: str, report: ParseReport) -> Vec3:
     written = read_numbers(
         mesh.get("scale", "1"), counts=SCALE, where=f"{where}, scale", slug="urdf.number"
@@ -392,12 +396,6 @@ def _read_attribute(
 def _read_scalar(element: Element | None, name: str) -> float:
     """Read the number of an attribute; 0 where it or the element is missing."""
     return _read_attribute(element, name, 1)[0]
-
-
-JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
-LIMITED_KINDS = ("revolute", "prismatic")
-DEFAULT_AXIS = "1 0 0"
-"""Axis of a joint without one. Source: URDF."""
 
 
 def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseReport) -> ParsedModel:
@@ -493,10 +491,6 @@ def _read_inertial(link: Element) -> Inertial:
         com_in_link=origin.position,
         inertia=rotate_moments((ixx, ixy, ixz, iyy, iyz, izz), origin.orientation),
     )
-
-
-UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")
-"""Elements whose plug-ins may expand xacro themselves."""
 
 
 def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
