@@ -1,13 +1,12 @@
 """The agent process: claims robots, drives them at each drive state, does housekeeping."""
 
-import gc
 import logging
 import math
 import signal
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import closing, nullcontext, suppress
 from typing import Protocol
 
 import msgspec
@@ -21,13 +20,8 @@ from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.process_messages import AgentStats
 from zensim.proto.messages.sensing_messages import Contacts
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.metric_families import (
-    DurationHistogram,
-    MetricFamily,
-    make_counter,
-    make_gauge,
-)
-from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
+from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_counter, make_gauge
+from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.poll_schedule import MAX_PAUSE_S, PollSchedule
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
@@ -40,6 +34,7 @@ from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import AGENT_STATS, CONTACTS, DRIVE_COMMAND, DRIVE_STATE
 from zensim.proto.verbosity import configure_logging
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
+from zensim.robot_agent.answer_times import EarlyState, LateCommandWindow
 from zensim.robot_agent.bumpers import ContactReport, read_contact_report
 from zensim.robot_agent.claim_client import (
     ClaimSettings,
@@ -47,94 +42,30 @@ from zensim.robot_agent.claim_client import (
     ShareClaimClient,
     ShareSettings,
 )
+from zensim.robot_agent.collected_objects import CollectedObjects
 from zensim.robot_agent.drive_state_decoder import CLAIM_BYTES, StateOrder
 from zensim.robot_agent.fleet_odometry import FleetOdometryPublisher, MotionRows
+from zensim.robot_agent.process_priority import ProcessPriority
 from zensim.robot_agent.rest_schedule import RestSchedule
 from zensim.robot_agent.robots import IndividualRobots
 
 MAX_COMMAND_PAUSE_S = 0.0035
 """Maximum pause of an agent that applies late commands."""
-NICENESS = 19
-"""A seventieth of the default CPU weight; with a tenth, agents that wake preempt physics."""
-RTF_WINDOW_S = 0.5
-"""Wall time over which the real-time factor is measured."""
-FAST_RTF, SLOW_RTF = 1.5, 1.2
-"""Real-time factors above which the priority is lowered, and below which it is restored."""
-FAST_WINDOWS = 3
-"""Successive windows with a factor above `FAST_RTF` after which the priority is lowered. After work
-that took seconds, the newest state is later than the time that it is compared with: one window."""
-
-
-class ProcessPriority:
-    """Lowers the priority of the process while simulation time runs fast."""
-
-    def __init__(self, set_niceness: Callable[[int], bool]) -> None:
-        """Start with default priority.
-
-        Args:
-            set_niceness: Sets the niceness of this process; returns whether it is done.
-        """
-        self._set_niceness = set_niceness
-        self._niceness = self._fast_windows = 0
-        self._since: tuple[float, int] | None = None
-
-    def note_state(self, now_s: float, state: DriveState) -> None:
-        """Note the arrival of a state at a wall time."""
-        if self._since is None or state.is_awaited or state.time_ns < self._since[1]:
-            self._since = (now_s, state.time_ns)
-            return
-        elapsed_s = now_s - self._since[0]
-        if elapsed_s < RTF_WINDOW_S:
-            return
-        factor = (state.time_ns - self._since[1]) / NANOSECONDS / elapsed_s
-        self._since = (now_s, state.time_ns)
-        self._fast_windows = self._fast_windows + 1 if factor > FAST_RTF else 0
-        is_fast = self._fast_windows >= FAST_WINDOWS
-        wanted = NICENESS if is_fast else 0 if factor < SLOW_RTF else self._niceness
-        if wanted != self._niceness and self._set_niceness(wanted):
-            self._niceness = wanted
-
-
-WINDOW_PERIODS = 2.0
-"""Duration of the window, in periods between states; after it, time is taken to be stopped."""
-MIN_WINDOW_S, MAX_WINDOW_S = 0.05, 1.0
-"""Limits of the duration [s]."""
-
-
-class LateCommandWindow:
-    """Time in which the answer to the newest state may be revised once.
-
-    If time waits for agents or is stepped by requests, each state has one answer: later commands
-    count for the next state, so that equal requests give equal bytes.
-    """
-
-    def __init__(self) -> None:
-        self._state: DriveState | None = None
-        self._came_s = self._until_s = -math.inf
-
-    def note_state(self, state: DriveState, now_s: float) -> None:
-        """Note a state that was answered."""
-        before, self._state = self._state, state
-        has_run = (
-            before is not None
-            and (before.epoch, before.claims) == (state.epoch, state.claims)
-            and before.step < state.step
-        )
-        gap_s, self._came_s = now_s - self._came_s, now_s
-        lasts_s = min(max(MIN_WINDOW_S, WINDOW_PERIODS * gap_s), MAX_WINDOW_S)
-        self._until_s = now_s + lasts_s if has_run and not state.is_awaited else -math.inf
-
-    def is_open(self, now_s: float) -> bool:
-        """Whether a command may change the last answer now."""
-        return now_s < self._until_s
-
-    def close(self) -> None:
-        """Note that the answer was revised."""
-        self._until_s = -math.inf
-
-
 ANNOUNCE_PERIOD_S = 0.2
 LOG_PERIOD_S = 1.0
+LOG = logging.getLogger("zensim.agent")
+HOUSEKEEPING_PERIOD_S = 0.02
+"""Period of everything but driving, which is not urgent."""
+SLOW_HOUSEKEEPING_PERIOD_S = 0.1
+"""The same with robots where requests end the pause: then only what is due by time is left."""
+MAX_LOGGED_CLAIMS = 20
+"""Most robots claimed at once that are named; of more only the number is logged."""
+REST_POLL_S = 0.01
+"""Period of a pool that polls for commands while it needs no states."""
+CONTACTS_DEPTH = 64
+"""Control steps whose contacts may wait."""
+MAX_ENTITY_CHARACTERS = 48
+"""Most characters of the entity name in a generated agent name."""
 
 
 class HousekeepingTarget(Protocol):
@@ -166,117 +97,6 @@ class Housekeeping:
         if now_s >= self._log_s:
             self._log_s = now_s + LOG_PERIOD_S
             self._target.log_malformed()
-
-
-FREEZE_AFTER_S = 2.0
-"""Wait after the last change of robots: what is made for a new one is there by then."""
-LEAST_GONE = 50
-"""Robots that have gone until they are collected: a collection takes 20 ms at least."""
-
-
-class CollectedObjects:
-    """Keeps the garbage collector from visiting the objects of robots that stay.
-
-    A full collection visits all objects: with 5000 robots it takes 0.1 to 0.3 s, in which no state
-    is answered. An agent of few robots does without, as it may share its process.
-    """
-
-    def __init__(
-        self,
-        freeze: Callable[[], None] = gc.freeze,
-        unfreeze: Callable[[], None] = gc.unfreeze,
-        collect: Callable[[], object] = gc.collect,
-        pause: Callable[[], None] = gc.disable,
-        resume: Callable[[], None] = gc.enable,
-    ) -> None:
-        """Freeze nothing yet.
-
-        Args:
-            freeze: Excludes all present objects from collections, as `gc.freeze` does.
-            unfreeze: Includes them again.
-            collect: Collects all that nothing uses.
-            pause: Makes no collections from now on.
-            resume: Makes them again.
-        """
-        self._freeze, self._unfreeze, self._collect = freeze, unfreeze, collect
-        self._pause, self._resume = pause, resume
-        self._gone = self._uncollected = 0
-        self._due_s: float | None = None
-
-    @contextmanager
-    def adding(self, now_s: float) -> Iterator[None]:
-        """Collect nothing while robots are added; freeze their objects then, and in some time."""
-        self._pause()
-        try:
-            yield
-        finally:
-            self._freeze()
-            self._resume()
-            self._due_s = now_s + FREEZE_AFTER_S
-
-    def note_gone_robots(self, gone: int, left: int, now_s: float) -> None:
-        """Include all objects in collections when as many robots have gone as are left.
-
-        What a robot leaves refers to itself. Where others come within `FREEZE_AFTER_S`, it would
-        be frozen again and never collected, so that it is collected here once it is enough.
-        """
-        self._gone += gone
-        self._uncollected += gone
-        if self._gone >= left:
-            self._gone = 0
-            self._unfreeze()
-            if self._uncollected >= max(left, LEAST_GONE):
-                self._uncollected = 0
-                self._collect()
-            self._due_s = now_s + FREEZE_AFTER_S
-
-    def poll(self, now_s: float) -> None:
-        """Freeze if it is due."""
-        if self._due_s is not None and now_s >= self._due_s:
-            self._due_s = None
-            self._freeze()
-
-
-class EarlyState:
-    """Keeps an awaited state that came before the reply with its claims, for when that is here.
-
-    Else it is never answered: the server has no reason to publish it again before its timeout.
-    """
-
-    def __init__(self) -> None:
-        """Keep nothing yet."""
-        self._sample: Sample | None = None
-        self._has_new_claims = False
-
-    def keep(self, sample: Sample) -> None:
-        """Keep a state whose claims are not held."""
-        self._sample = sample
-
-    def forget(self) -> None:
-        """Keep nothing: there is a newer state, or the server is gone."""
-        self._sample = None
-
-    def note_new_claims(self) -> None:
-        """Note that the state may be answered now."""
-        self._has_new_claims = True
-
-    def take(self) -> Sample | None:
-        """Take the state, if there are new claims since the last call."""
-        if not self._has_new_claims:
-            return None
-        sample, self._sample, self._has_new_claims = self._sample, None, False
-        return sample
-
-
-LOG = logging.getLogger("zensim.agent")
-HOUSEKEEPING_PERIOD_S = 0.02
-"""Period of everything but driving, which is not urgent."""
-SLOW_HOUSEKEEPING_PERIOD_S = 0.1
-"""The same with robots where requests end the pause: then only what is due by time is left."""
-
-
-MAX_LOGGED_CLAIMS = 20
-"""Most robots claimed at once that are named; of more only the number is logged."""
 
 
 class ClaimClient(Protocol):
@@ -342,12 +162,6 @@ class RobotSet(HousekeepingTarget, Protocol):
 
     def publish_contacts(self, report: ContactReport) -> None:
         """Publish what contact sensors feel."""
-
-
-REST_POLL_S = 0.01
-"""Period of a pool that polls for commands while it needs no states."""
-CONTACTS_DEPTH = 64
-"""Control steps whose contacts may wait."""
 
 
 class Agent:
@@ -690,10 +504,6 @@ def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClien
         wait_s=config.wait_s,
     )
     return ShareClaimClient(network, share)
-
-
-MAX_ENTITY_CHARACTERS = 48
-"""Most characters of the entity name in a generated agent name."""
 
 
 def run_agent_process(start: AgentProcessConfig) -> None:

@@ -31,17 +31,11 @@ from zensim.deploy.robot_checks import (
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.options.command_options import (
-    AllowFailedEngineOption,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import AllowFailedEngineOption, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import EngineChoice
-from zensim.sim_server.physics.engine_config import (
-    parse_engine_name,
-)
+from zensim.sim_server.physics.engine_config import parse_engine_name
 from zensim.sim_server.physics.engine_proof.engine_prover import choose_proven_engine
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
@@ -130,7 +124,7 @@ def check(given: CheckOptions) -> None:
     """
     with exit_on_failure("check", MissingServerExtra):
         with server_extra():
-            from zensim.sim_server.description import strict_parsing  # noqa: F401  # for trials
+            from zensim.sim_server.description import strict_xml  # noqa: F401  # for trials
             from zensim.sim_server.description.urdf import independent_reading
         requests = _make_requests(given)
         if not independent_reading.has_other_reader():

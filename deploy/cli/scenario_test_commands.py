@@ -19,19 +19,11 @@ from zensim.deploy.cli.scenario_commands import (
 from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.options.command_options import (
-    SetOption,
-    flag,
-)
+from zensim.proto.options.command_options import SetOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.scenario.scenario_nodes import Issue
-from zensim.scenario.scenario_reader import (
-    SUFFIXES,
-    Scenario,
-    find_scenario_file,
-    read_scenario,
-)
+from zensim.scenario.scenario_reader import SUFFIXES, Scenario, find_scenario_file, read_scenario
 from zensim.scenario.scenario_runner import RunReport
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
@@ -88,7 +80,7 @@ def test_scenarios(given: ScenarioTestOptions) -> None:
     """
     with exit_on_failure("test", MissingServerExtra):
         with server_extra():
-            from zensim.sim_server.description import strict_parsing  # noqa: F401  # for runs
+            from zensim.sim_server.description import strict_xml  # noqa: F401  # for runs
         scenarios = _read_all([*_find_files(given.files)], given)
         requests = [_make_request(one, given) for one in scenarios for _ in range(given.repeat)]
         done: list[RunReport] = []

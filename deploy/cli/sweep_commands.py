@@ -28,11 +28,7 @@ from zensim.deploy.sweep.sweep_report import format_groups, group_rows
 from zensim.deploy.sweep.sweep_rows import SweepRow, find_unequal_repeats
 from zensim.deploy.sweep.sweep_runner import ATTEMPTS, Runner, run_here, run_sweep
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.options.command_options import (
-    JsonOption,
-    SetOption,
-    flag,
-)
+from zensim.proto.options.command_options import JsonOption, SetOption, flag
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
@@ -139,7 +135,7 @@ def run_command(given: SweepOptions) -> None:
     """
     with exit_on_failure("sweep", MissingServerExtra, MissingRayExtra), _interrupted_by_sigterm():
         with server_extra():
-            from zensim.sim_server.description import strict_parsing  # noqa: F401  # for runs
+            from zensim.sim_server.description import strict_xml  # noqa: F401  # for runs
         runner = _choose_runner(given)
         plan = _make_plan(given)
         folder = SweepFolder(given.output or Path(f"{plan.name.replace('/', '_')}.sweep"))

@@ -37,13 +37,9 @@ from zensim.robot_agent.joint_control import JointControl, make_joint_control
 from zensim.robot_agent.pool.group_bases import GroupBaseController
 from zensim.robot_agent.pool.group_key import GroupKey, GroupKeys
 from zensim.robot_agent.pool.group_sensors import GroupSensors
-from zensim.robot_agent.pool.group_telemetry import (
-    FindPublisher,
-    GroupTelemetry,
-    SharedStaticTopic,
-    StaticTopics,
-)
+from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry
 from zensim.robot_agent.pool.pooled_bumpers import PooledBumpers
+from zensim.robot_agent.pool.static_topics import SharedStaticTopic, StaticTopics
 from zensim.robot_agent.robot_parameters import list_robot_parameters
 from zensim.robot_agent.robot_rows import (
     NEW_ROW,

@@ -21,7 +21,7 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
-from zensim.sim_server.description.plugins.drive_plugin import WHEEL_JOINT_KINDS, UnusableDrive
+from zensim.sim_server.description.plugins.drive_plugin import UnusableDrive
 from zensim.sim_server.description.plugins.drive_selection import SUBJECT, make_drive
 from zensim.sim_server.description.plugins.wheel_guess import (
     UPRIGHT_AXIS_Z,
@@ -30,6 +30,7 @@ from zensim.sim_server.description.plugins.wheel_guess import (
     list_drives,
     lower_suspensions,
 )
+from zensim.sim_server.description.plugins.wheel_measures import WHEEL_JOINT_KINDS
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model

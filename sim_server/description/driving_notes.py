@@ -33,7 +33,7 @@ from zensim.sim_server.description.motion_prediction import (
     predict_motion,
     turn_command,
 )
-from zensim.sim_server.description.plugins.drive_plugin import MAX_BACKWARD_AXIS_Y
+from zensim.sim_server.description.plugins.wheel_measures import MAX_BACKWARD_AXIS_Y
 from zensim.sim_server.description.rest_pose import MAX_TILT_RAD
 
 if TYPE_CHECKING:

@@ -1,22 +1,12 @@
-"""Geometry of a model: link poses, ground clearance, wheel contact shapes.
-
-A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
-other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it
-swivels. A sphere of the same radius rolls the same way and touches at one point. A round mesh is a
-polygon, on which a robot hops; it becomes a sphere too. Where the twist is applied to the body,
-friction is removed.
-"""
+"""Geometry of a model: link poses, extents, ground clearance."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import msgspec
-
 from zensim.proto.messages.model_messages import (
     IDENTITY,
-    ZERO,
     Joint,
     Link,
     Model,
@@ -26,14 +16,7 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rigid_transforms import (
-    compose,
-    conjugate,
-    cross,
-    from_rpy,
-    normalize,
-    rotate,
-)
+from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -41,7 +24,15 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from zensim.proto.messages.drive_messages import Drive
+
+FindCorners: TypeAlias = "Callable[[str], npt.NDArray[np.floating]]"
+"""Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
+_NO_CORNERS: dict[str, npt.NDArray[np.floating]] = {}
+NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
+FALL = ReportEntry("predicted", "driving", "it falls: it has no collisions")
+"""Report entry of a model that falls without end."""
+UNLIMITED_RAD = 20.0 * math.pi
+"""Range from which a joint with limits can be that of a wheel; knees turn once or twice."""
 
 
 def make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
@@ -86,12 +77,6 @@ def list_leaders(joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[tuple[s
         ratio *= mimic.multiplier
         joint = by_name[mimic.joint]
         yield joint.name, ratio
-
-
-FindCorners: TypeAlias = "Callable[[str], npt.NDArray[np.floating]]"
-"""Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
-_NO_CORNERS: dict[str, npt.NDArray[np.floating]] = {}
-NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
 
 
 def find_ground_clearance(
@@ -139,20 +124,12 @@ def find_extents(
     return found
 
 
-FALL = ReportEntry("predicted", "driving", "it falls: it has no collisions")
-"""Report entry of a model that falls without end."""
-
-
 def falls_without_end(model: Model) -> bool:
     """Whether a model has weight and nothing to stand on; engines give mass to what has none."""
     mass_kg = sum(link.inertial.mass_kg for link in model.links)
     lifted_kg = sum(link.weightless.mass_kg for link in model.links)
     stands = any(link.collisions for link in model.links)
     return not (model.is_static or stands) and (mass_kg > lifted_kg or lifted_kg == 0.0)
-
-
-UNLIMITED_RAD = 20.0 * math.pi
-"""Range from which a joint with limits can be that of a wheel; knees turn once or twice."""
 
 
 def turns_freely(joint: Joint) -> bool:
@@ -188,229 +165,3 @@ def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> f
         radius, length, _ = shape.size
         reach = radius * math.hypot(down[0], down[1]) + down[2] * length / 2.0
     return frame.height - reach
-
-
-HALF = 0.5
-MAX_AXLE_OFFSET = 0.01
-"""Distance of a wheel cylinder from its axle, in radii."""
-MIN_AXLE_COS = 0.9999
-"""Cosine of the angle between the cylinder and its axle."""
-MAX_LEVEL_AXLE_Z = 0.1
-"""Slope of the axle of a wheel on the ground."""
-MAX_WHEEL_WIDTH = 2.0
-"""Width in radii; wider cylinders are rollers."""
-MIN_TREAD_SHARE = 0.97
-"""Share of the largest radius from which corners of a mesh belong to the tread."""
-MAX_TREAD_GAP_RAD = math.radians(30.0) + 1e-3
-"""Largest angle between neighbouring corners of a round tread."""
-
-
-def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Link, ...]:
-    """List the links with the collisions that engines use: spheres for wheels.
-
-    Args:
-        model: The robot.
-        corners: Needed for wheels with meshes.
-    """
-    drive = model.drive
-    if drive is None:
-        return model.links
-    if _is_driven_by_twist(drive):
-        return tuple(_without_friction(link) for link in model.links)
-    axles = _find_axles(drive, model.links, model.joints, corners)
-    return tuple(
-        _with_sphere_wheels(link, axles[link.name], corners) if link.name in axles else link
-        for link in model.links
-    )
-
-
-def align_friction_to_axle(link: Link, joint: Joint | None) -> Link:
-    """Replace friction directions of a link that turns without limits by its axle.
-
-    Only along and across the axle is a direction the same at any angle. Along it is the friction of
-    the direction that is nearer to it at joint position zero.
-    """
-    if joint is None or not turns_freely(joint):
-        return link
-    if all(shape.contact.direction == ZERO for shape in link.collisions):
-        return link
-    shapes = tuple(_align_shape_friction(shape, joint.axis) for shape in link.collisions)
-    return msgspec.structs.replace(link, collisions=shapes)
-
-
-def _align_shape_friction(shape: Shape, axle: Vec3) -> Shape:
-    contact = shape.contact
-    if contact.direction == ZERO:
-        return shape
-    cosine = _dot(contact.direction, normalize(axle))
-    along, across = shape.friction, contact.friction_across
-    if cosine * cosine < HALF:
-        along, across = across, along
-    contact = msgspec.structs.replace(contact, direction=normalize(axle), friction_across=across)
-    return msgspec.structs.replace(shape, friction=along, contact=contact)
-
-
-def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
-    """Describe what `links_in_contact` changes on a robot with this drive; without its meshes."""
-    if _is_driven_by_twist(drive):
-        return ["friction of its collisions is not used: the twist is applied to the body"]
-    links, joints = tuple(links), tuple(joints)
-    axles = _find_axles(drive, links, joints, None)
-    rolling = [
-        repr(link.name)
-        for link in links
-        if link.name in axles
-        and any(is_wheel_cylinder(one, axles[link.name]) for one in link.collisions)
-    ]
-    if not rolling:
-        return []
-    return [f"cylinders of {', '.join(rolling)} touch the ground as spheres of their radius"]
-
-
-def describe_mesh_wheels(model: Model, corners: FindCorners) -> list[str]:
-    """Describe the wheels whose meshes `links_in_contact` replaces by spheres."""
-    if model.drive is None or _is_driven_by_twist(model.drive):
-        return []
-    axles = _find_axles(model.drive, model.links, model.joints, corners)
-    return [
-        f"mesh of {link.name!r} is round: it touches the ground as a sphere of its largest "
-        f"radius, {sphere.size[0]:.4g} m"
-        for link in model.links
-        if link.name in axles
-        for shape in link.collisions
-        if shape.kind == "mesh"
-        and (sphere := find_wheel_sphere(shape, axles[link.name], corners)) is not None
-    ]
-
-
-def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHES) -> Shape | None:
-    """Find the sphere that rolls like a wheel's collision; None if that is not a round wheel.
-
-    Args:
-        shape: Of the child link of `axle`.
-        axle: The joint about which the wheel turns.
-        corners: Needed for meshes.
-    """
-    if is_wheel_cylinder(shape, axle):
-        return _make_sphere(shape, shape.size[0], shape.origin.position)
-    if shape.kind != "mesh":
-        return None
-    import numpy as np
-
-    from zensim.proto.se3 import from_origin, transform_points
-
-    scaled = np.asarray(corners(shape.mesh), np.float64) * np.array(shape.size)
-    points = transform_points(from_origin(shape.origin), scaled)
-    tread = _find_tread(points, np.array(normalize(axle.axis))) if len(points) else None
-    return None if tread is None else _make_sphere(shape, *tread)
-
-
-def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
-    """Whether a collision is a cylinder around the axle of its link."""
-    radius, length, _ = shape.size
-    if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
-        return False
-    axis = normalize(axle.axis)
-    along = rotate(shape.origin.orientation, (0.0, 0.0, 1.0))
-    if abs(_dot(along, axis)) < MIN_AXLE_COS:
-        return False
-    centre = shape.origin.position
-    return math.hypot(*cross(centre, axis)) <= MAX_AXLE_OFFSET * radius
-
-
-def _dot(first: Vec3, second: Vec3) -> float:
-    return sum(a * b for a, b in zip(first, second, strict=True))
-
-
-def _find_tread(
-    points: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]
-) -> tuple[float, Vec3] | None:
-    """Find the largest radius about an axis, and the middle of the corners that reach it.
-
-    None if they leave a gap in the circle, or if the wheel is too wide.
-    """
-    import numpy as np
-
-    along = points @ axis
-    spokes = points - along[:, None] * axis
-    radii = np.linalg.norm(spokes, axis=1)
-    radius = float(radii.max())
-    if np.ptp(along) >= MAX_WHEEL_WIDTH * radius:
-        return None
-    is_tread = radii >= MIN_TREAD_SHARE * radius
-    first = spokes[is_tread][0]
-    turns = np.arctan2(spokes[is_tread] @ np.cross(axis, first), spokes[is_tread] @ first)
-    if np.diff(np.sort(turns), append=turns.min() + math.tau).max() > MAX_TREAD_GAP_RAD:
-        return None
-    x, y, z = (axis * (along[is_tread].min() + along[is_tread].max()) / 2.0).tolist()
-    return radius, (x, y, z)
-
-
-def _make_sphere(shape: Shape, radius: float, centre: Vec3) -> Shape:
-    return msgspec.structs.replace(
-        shape, kind="sphere", size=(radius, 0.0, 0.0), origin=Origin(centre), mesh=""
-    )
-
-
-def _is_driven_by_twist(drive: Drive) -> bool:
-    return any(actuator.mode == "twist" for actuator in drive.actuators)
-
-
-def _find_axles(
-    drive: Drive, links: tuple[Link, ...], joints: tuple[Joint, ...], corners: FindCorners | None
-) -> dict[str, Joint]:
-    """Find the axle of each wheel, by link: those of the drive, and passive ones on the ground.
-
-    Without `corners`, passive wheels of meshes are left out.
-    """
-    driven = {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
-    held = {actuator.joint for actuator in drive.actuators}
-    passive = {
-        joint.child: joint for joint in joints if turns_freely(joint) and joint.name not in held
-    }
-    if not passive or not driven:
-        return driven
-    poses = find_link_poses(links[0].name, joints)
-    wheels = {
-        link.name: list(_list_wheel_bottoms(link, axles[link.name], poses[link.name], corners))
-        for axles in (passive, driven)
-        for link in links
-        if link.name in axles
-    }
-    ground = min((low for name in driven for low, _ in wheels[name]), default=-math.inf)
-    return driven | {
-        name: joint
-        for name, joint in passive.items()
-        if any(low - radius <= ground for low, radius in wheels[name])
-    }
-
-
-def _list_wheel_bottoms(
-    link: Link, axle: Joint, pose: Origin, corners: FindCorners | None
-) -> Iterable[tuple[float, float]]:
-    """List height [m] in the root link and radius [m] of the round shapes of a wheel, if level."""
-    if abs(rotate(pose.orientation, normalize(axle.axis))[2]) > MAX_LEVEL_AXLE_Z:
-        return
-    for shape in link.collisions:
-        if corners is None and shape.kind == "mesh":
-            continue
-        if (sphere := find_wheel_sphere(shape, axle, corners or NO_MESHES)) is not None:
-            radius = sphere.size[0]
-            yield compose(pose, sphere.origin).position[2] - radius, radius
-
-
-def _with_sphere_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:
-    found = tuple(find_wheel_sphere(shape, axle, corners) or shape for shape in link.collisions)
-    if found == link.collisions:
-        return link
-    return msgspec.structs.replace(link, collisions=found)
-
-
-def _without_friction(link: Link) -> Link:
-    smooth = tuple(_frictionless(shape) for shape in link.collisions)
-    return msgspec.structs.replace(link, collisions=smooth)
-
-
-def _frictionless(shape: Shape) -> Shape:
-    contact = msgspec.structs.replace(shape.contact, direction=ZERO, friction_across=0.0)
-    return msgspec.structs.replace(shape, friction=0.0, contact=contact)

@@ -15,22 +15,15 @@ from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
 from zensim.sim_server.description.joint_reduction import LumpedModel
-from zensim.sim_server.description.meshes.mesh_lookup import (
-    HasMesh,
-    has_assets,
-    no_meshes,
-)
-from zensim.sim_server.description.model_geometry import (
-    FALL,
-    describe_mesh_wheels,
-    falls_without_end,
-)
+from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, has_assets, no_meshes
+from zensim.sim_server.description.model_geometry import FALL, falls_without_end
 from zensim.sim_server.description.plugins.drive_selection import select_drive
 from zensim.sim_server.description.plugins.joint_controllers import add_joint_controllers
 from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.strict_parsing import find_root_tag
+from zensim.sim_server.description.strict_xml import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.description.wheel_contacts import describe_mesh_wheels
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:

@@ -13,12 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.se3 import from_origin, to_matrix
-from zensim.sim_server.description.model_geometry import (
-    NO_MESHES,
-    align_friction_to_axle,
-    links_in_contact,
-    turns_freely,
-)
+from zensim.sim_server.description.model_geometry import NO_MESHES, turns_freely
+from zensim.sim_server.description.wheel_contacts import align_friction_to_axle, links_in_contact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

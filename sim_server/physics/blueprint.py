@@ -24,12 +24,8 @@ from zensim.proto.messages.model_messages import (
 from zensim.proto.rigid_transforms import conjugate, from_directions, normalize, rotate
 from zensim.proto.se3 import from_matrix
 from zensim.proto.stl import read_corners
-from zensim.sim_server.description.model_geometry import (
-    NO_MESHES,
-    FindCorners,
-    align_friction_to_axle,
-    links_in_contact,
-)
+from zensim.sim_server.description.model_geometry import NO_MESHES, FindCorners
+from zensim.sim_server.description.wheel_contacts import align_friction_to_axle, links_in_contact
 from zensim.sim_server.physics.driven_wheels import find_driven_wheels
 from zensim.sim_server.physics.engine import MIN_INERTIA, EngineRefused
 

@@ -9,7 +9,8 @@ import numpy as np
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.rigid_transforms import compose
 from zensim.proto.se3 import FloatArray, from_origin
-from zensim.sim_server.description.model_geometry import find_link_poses, links_in_contact
+from zensim.sim_server.description.model_geometry import find_link_poses
+from zensim.sim_server.description.wheel_contacts import links_in_contact
 from zensim.sim_server.scene.convex_shapes import ConvexShape, to_convex_shape
 
 MeshTriangles = Callable[[str], FloatArray]

@@ -14,7 +14,7 @@ from zensim.proto.messages.result_messages import LoadWorldCode, ResultCode
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
-from zensim.sim_server.description.strict_parsing import MAX_BYTES
+from zensim.sim_server.description.strict_xml import MAX_BYTES
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world_loading.file_work import read_regular_file
 

@@ -25,7 +25,7 @@ from zensim.proto.parent_death import die_with_parent
 from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.proto.settings.server_settings import ServerSettings
 from zensim.proto.settings.setting import make_settings, read_settings
-from zensim.sim_server.description.strict_parsing import MAX_BYTES
+from zensim.sim_server.description.strict_xml import MAX_BYTES
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.server_config import ConfigError, ServerConfig, fill_pace
 from zensim.sim_server.world.simulated_world import SimulatedWorld

@@ -19,7 +19,7 @@ from zensim.proto.parent_death import die_with_parent
 from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world
-from zensim.sim_server.description.strict_parsing import MAX_BYTES
+from zensim.sim_server.description.strict_xml import MAX_BYTES
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.world_loading.world_loader import (

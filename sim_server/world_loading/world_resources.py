@@ -20,7 +20,7 @@ from zensim.proto.messages.asset_messages import (
     parse_fuel_uri,
 )
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
+from zensim.sim_server.description.strict_xml import MAX_BYTES, parse_xml
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
 from zensim.sim_server.world_loading.file_work import FileWork, read_regular_file

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.messages.model_messages import Quat
 from zensim.proto.se3 import FloatArray
+from zensim.spawner.page.glb_encoding import encode_glb
 from zensim.spawner.page.instance_updates import WXYZ_COLUMNS, has_moved, move_instances
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
@@ -19,7 +20,6 @@ from zensim.spawner.page.model_visuals import (
     ColouredMesh,
     TriangleMeshes,
     VisualTemplate,
-    encode_glb,
     find_bounds,
     make_link_meshes,
 )

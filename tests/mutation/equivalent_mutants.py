@@ -23,7 +23,7 @@ EQUIVALENTS = {
     "sim_server/physics/bullet/pybullet_engine.py: self._origin.changes += 1: 1 -> (1 + 1)": (
         "counts of changes are compared for equality only"
     ),
-    "sim_server/description/strict_parsing.py: no_network=True,: True -> False": (
+    "sim_server/description/strict_xml.py: no_network=True,: True -> False": (
         "nothing is loaded: there are no DTDs and no entities"
     ),
     "sim_server/physics/kinematic/kinematic_robots.py: "

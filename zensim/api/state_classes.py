@@ -57,6 +57,7 @@ STATE_MODULES: Final = frozenset(
         "robot_agent.pool.group_telemetry",
         "robot_agent.pool.pooled_bumpers",
         "robot_agent.pool.pooled_robots",
+        "robot_agent.pool.static_topics",
         "robot_agent.robot_frames",
         "robot_agent.robot_rows",
         "robot_agent.state_sensors",

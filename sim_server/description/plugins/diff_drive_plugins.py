@@ -16,8 +16,10 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     ROS_UNUSED,
     DriveParameter,
     DrivePlugin,
-    MeasuredWheel,
     UnusableDrive,
+)
+from zensim.sim_server.description.plugins.wheel_measures import (
+    MeasuredWheel,
     check_lengths,
     check_sides,
     check_wheel_joints,

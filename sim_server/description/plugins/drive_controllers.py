@@ -29,8 +29,12 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     SUBSTITUTION,
     DriveParameter,
     DrivePlugin,
-    MeasuredWheel,
     UnusableDrive,
+    read_frame,
+)
+from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS, find_wheels
+from zensim.sim_server.description.plugins.wheel_measures import (
+    MeasuredWheel,
     check_lengths,
     check_sides,
     check_wheel_joints,
@@ -39,9 +43,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     find_grip_torque,
     measure_separation,
     measure_wheels,
-    read_frame,
 )
-from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS, find_wheels
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:

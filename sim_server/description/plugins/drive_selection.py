@@ -19,7 +19,6 @@ from zensim.proto.messages.drive_messages import (
     WheelPair,
 )
 from zensim.proto.messages.model_messages import JointStatePublisher
-from zensim.sim_server.description.model_geometry import describe_contacts
 from zensim.sim_server.description.plugins.drive_controllers import (
     DRIVE_CONTROLLERS,
     MECANUM_WHEELS,
@@ -30,10 +29,13 @@ from zensim.sim_server.description.plugins.drive_controllers import (
     measure_reach,
     with_wheels,
 )
-from zensim.sim_server.description.plugins.drive_plugin import (
-    DrivePlugin,
+from zensim.sim_server.description.plugins.drive_plugin import DrivePlugin, UnusableDrive
+from zensim.sim_server.description.plugins.joint_controllers import is_joint_controller
+from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
+from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
+from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS
+from zensim.sim_server.description.plugins.wheel_measures import (
     MeasuredWheel,
-    UnusableDrive,
     check_wheel_joints,
     find_base_link,
     find_grip_torque,
@@ -41,10 +43,7 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     measure_wheels,
     rolls_backward,
 )
-from zensim.sim_server.description.plugins.joint_controllers import is_joint_controller
-from zensim.sim_server.description.plugins.plugin_registry import summarize_drive
-from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
-from zensim.sim_server.description.plugins.wheel_guess import MIN_OMNI_WHEELS
+from zensim.sim_server.description.wheel_contacts import describe_contacts
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:

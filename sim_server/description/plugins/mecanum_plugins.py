@@ -23,6 +23,8 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     DriveParameter,
     DrivePlugin,
     UnusableDrive,
+)
+from zensim.sim_server.description.plugins.wheel_measures import (
     check_lengths,
     check_wheel_joints,
     measure_wheels,

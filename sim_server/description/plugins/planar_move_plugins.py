@@ -14,8 +14,8 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     ROS_UNUSED,
     DriveParameter,
     DrivePlugin,
-    find_base_link,
 )
+from zensim.sim_server.description.plugins.wheel_measures import find_base_link
 
 if TYPE_CHECKING:
     from zensim.sim_server.description.joint_reduction import LumpedModel

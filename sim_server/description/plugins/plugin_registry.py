@@ -8,7 +8,6 @@ import msgspec
 
 from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Model
-from zensim.sim_server.description.model_geometry import describe_contacts
 from zensim.sim_server.description.plugins import (
     diff_drive_plugins,
     mecanum_plugins,
@@ -27,6 +26,7 @@ from zensim.sim_server.description.plugins.publisher_plugins import (
 )
 from zensim.sim_server.description.plugins.sensor_reader import is_sensor_plugin, read_sensors
 from zensim.sim_server.description.strict_parsing import quote
+from zensim.sim_server.description.wheel_contacts import describe_contacts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

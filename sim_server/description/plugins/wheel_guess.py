@@ -20,7 +20,7 @@ from zensim.sim_server.description.model_geometry import (
     find_link_poses,
     turns_freely,
 )
-from zensim.sim_server.description.plugins.drive_plugin import MeasuredWheel, measure_wheels
+from zensim.sim_server.description.plugins.wheel_measures import MeasuredWheel, measure_wheels
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

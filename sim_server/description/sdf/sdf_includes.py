@@ -18,13 +18,8 @@ from zensim.sim_server.description.sdf.sdf_rules import (
     VERSION_ATTRIBUTE,
 )
 from zensim.sim_server.description.sdf.sdf_values import read_text
-from zensim.sim_server.description.strict_parsing import (
-    MAX_QUOTED_NAMES,
-    find_root_tag,
-    parse_flag,
-    parse_xml,
-    quote,
-)
+from zensim.sim_server.description.strict_parsing import MAX_QUOTED_NAMES, parse_flag, quote
+from zensim.sim_server.description.strict_xml import find_root_tag, parse_xml
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:

@@ -38,33 +38,22 @@ from zensim.sim_server.description.parsed_model import (
 from zensim.sim_server.description.plugins.plugin_registry import make_model
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.sdf.sdf_frames import (
-    SCOPE_SEPARATOR,
-    PoseGraph,
-    to_scoped_name,
-)
+from zensim.sim_server.description.sdf.sdf_frames import SCOPE_SEPARATOR, PoseGraph, to_scoped_name
 from zensim.sim_server.description.sdf.sdf_includes import (
     IncludeExpander,
     ResolveInclude,
     no_includes,
     parse_sdf,
 )
-from zensim.sim_server.description.sdf.sdf_links import (
-    DEFAULT_INERTIAL,
+from zensim.sim_server.description.sdf.sdf_joints import (
     JointElement,
-    LinkElement,
     SdfJointReader,
-    SdfLinkReader,
     find_spanning_tree,
     leave_out_couplings,
 )
+from zensim.sim_server.description.sdf.sdf_links import DEFAULT_INERTIAL, LinkElement, SdfLinkReader
 from zensim.sim_server.description.sdf.sdf_rules import MODEL, VERSION_ATTRIBUTE
-from zensim.sim_server.description.sdf.sdf_values import (
-    read_flag,
-    read_name,
-    read_pose,
-    read_text,
-)
+from zensim.sim_server.description.sdf.sdf_values import read_flag, read_name, read_pose, read_text
 from zensim.sim_server.description.strict_parsing import parse_flag, quote, quote_names
 from zensim.sim_server.errors import ModelError
 
@@ -72,6 +61,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lxml.etree import _Element as Element
+
+MAX_FRAMES = 5000
+LAX_NAME_VERSIONS = ("1.2", "1.3", "1.4", "1.5", "1.6")
+"""Versions in which siblings of different kinds may share a name."""
+NAMED_TAGS = ("link", "joint", "frame", "model")
 
 
 def read_dynamics(model: Element, report: ParseReport) -> Dynamics:
@@ -85,9 +79,6 @@ def read_dynamics(model: Element, report: ParseReport) -> Dynamics:
     kinds = ", ".join(known for known in get_args(Dynamics) if known)
     report.suspicious("dynamics", f"{quote(texts[-1])} is unknown; use {kinds}")
     return ""
-
-
-MAX_FRAMES = 5000
 
 
 @dataclass
@@ -183,11 +174,6 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
     found.joints = [_resolve_joint_ends(tag, found) for tag in found.joints]
     found.check_attachments()
     return found
-
-
-LAX_NAME_VERSIONS = ("1.2", "1.3", "1.4", "1.5", "1.6")
-"""Versions in which siblings of different kinds may share a name."""
-NAMED_TAGS = ("link", "joint", "frame", "model")
 
 
 def rename_repeated(root: Element, report: ParseReport) -> None:

@@ -47,11 +47,6 @@ from zensim.sim_server.description.sdf.sdf_includes import (
     no_includes,
     parse_sdf,
 )
-from zensim.sim_server.description.sdf.sdf_links import (
-    GROUND_SLAB_M,
-    GROUND_SLAB_ORIGIN,
-    read_light,
-)
 from zensim.sim_server.description.sdf.sdf_model import (
     ModelPart,
     check_sibling_names,
@@ -69,6 +64,11 @@ from zensim.sim_server.description.sdf.sdf_rules import (
     SUN_INCLUDE,
     UNSUPPORTED_WORLD_TAGS,
     WORLD,
+)
+from zensim.sim_server.description.sdf.sdf_solids import (
+    GROUND_SLAB_M,
+    GROUND_SLAB_ORIGIN,
+    read_light,
 )
 from zensim.sim_server.description.sdf.sdf_values import (
     RelativePose,

@@ -22,11 +22,7 @@ from zensim.proto.messages.model_messages import (
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.collision_names import name_collision
 from zensim.sim_server.description.element_rules import check_element
-from zensim.sim_server.description.joint_reduction import (
-    LumpedModel,
-    reduce_joints,
-    rotate_moments,
-)
+from zensim.sim_server.description.joint_reduction import LumpedModel, reduce_joints, rotate_moments
 from zensim.sim_server.description.link_surfaces import SURFACE_TAG_NAMES as SURFACE_TAGS
 from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
@@ -58,11 +54,11 @@ from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import (
     check_expanded,
     parse_flag,
-    parse_xml,
     quote,
     read_number,
     read_numbers,
 )
+from zensim.sim_server.description.strict_xml import parse_xml
 from zensim.sim_server.description.urdf.urdf_rules import (
     GAZEBO_OF_JOINT,
     GAZEBO_OF_LINK,

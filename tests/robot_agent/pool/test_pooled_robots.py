@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.fakes import MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, an_arm_bot, two_wheeler
-from tests.robot_agent.pool.test_group_telemetry import a_state
+from tests.robot_agent.pool.pool_samples import a_state
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState

@@ -87,3 +87,15 @@ def mentions(entries: Iterable[ReportEntry], status: str, *values: str) -> bool:
 
 def link_names(model: Model) -> list[str]:
     return [link.name for link in model.links]
+
+
+def assert_only_fault(text: str, *values: str) -> None:
+    """Assert that only the plug-in is suspicious, for a reason with these words."""
+    entries = report_of(text)
+    assert subjects(entries, "suspicious") == ["plugin 'p'"]
+    assert mentions(entries, "suspicious", *values)
+
+
+def suspicious(text: str) -> list[str]:
+    """List the suspicious subjects of a URDF."""
+    return subjects(report_of(text), "suspicious")

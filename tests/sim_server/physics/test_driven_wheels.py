@@ -10,7 +10,7 @@ from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_fork, a_puck
 from zensim.proto.messages.drive_messages import TricycleDrive
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.se3 import from_rpy
-from zensim.sim_server.description.model_geometry import links_in_contact
+from zensim.sim_server.description.wheel_contacts import links_in_contact
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.driven_wheels import find_driven_wheels, measure_rolling_radius
 

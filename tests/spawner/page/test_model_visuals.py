@@ -23,11 +23,9 @@ from zensim.proto.rigid_transforms import normalize
 from zensim.proto.se3 import from_rpy
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
-    ColouredMesh,
     NotATree,
     TriangleMesh,
     VisualJoint,
-    encode_glb,
     find_bounds,
     find_link_poses,
     find_mesh_name,
@@ -366,28 +364,6 @@ def test_shapes_with_different_images_are_separate() -> None:
     assert textured.mesh.coordinates is not None
     assert len(textured.mesh.coordinates) == len(textured.mesh.vertices) == 12
     assert (grey.mesh.image, grey.rgba) == (b"", DEFAULT_RGBA)
-
-
-@pytest.mark.parametrize(
-    ("image", "alpha", "mode"),
-    [(PNG, 1.0, "MASK"), (PNG, 0.5, "BLEND"), (b"\xff\xd8\xff", 1.0, "OPAQUE")],
-)
-def test_glb_holds_mesh_and_image(image: bytes, alpha: float, mode: str) -> None:
-    mesh = TriangleMesh(
-        a_textured_mesh().vertices, a_textured_mesh().faces, a_textured_mesh().coordinates, image
-    )
-
-    data = encode_glb(ColouredMesh(mesh, (1.0, 0.5, 0.0, alpha), is_smooth=False, has_file=True))
-
-    assert int.from_bytes(data[8:12], "little") == len(data)
-    head = int.from_bytes(data[12:16], "little")
-    content = msgspec.json.decode(data[20 : 20 + head])
-    body = data[28 + head :]
-    parts = [body[v["byteOffset"] :][: v["byteLength"]] for v in content["bufferViews"]]
-    assert np.frombuffer(parts[0], "<f4").tolist() == SQUARE.ravel().tolist()
-    assert np.frombuffer(parts[1], "<f4")[:4].tolist() == [0.0, 0.0, 2.0, -2.0]
-    assert parts[3] == image
-    assert content["materials"][0]["alphaMode"] == mode
 
 
 def test_lights_of_links_are_in_the_template() -> None:

@@ -22,7 +22,7 @@ from zensim.sim_server.description.meshes.convex_hull import (
     find_exact_hull,
     find_hull,
 )
-from zensim.sim_server.description.model_geometry import find_wheel_sphere
+from zensim.sim_server.description.wheel_contacts import find_wheel_sphere
 
 Points = npt.NDArray[np.float64]
 CUBE = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).T.reshape(-1, 3)

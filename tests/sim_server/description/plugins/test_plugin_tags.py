@@ -8,7 +8,7 @@ from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.strict_parsing import parse_xml
+from zensim.sim_server.description.strict_xml import parse_xml
 
 
 def read(inside: str) -> tuple[RosBlock, tuple[ReportEntry, ...]]:

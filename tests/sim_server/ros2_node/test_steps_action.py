@@ -21,7 +21,7 @@ from zensim.proto.ros2.action_server import (
     MAX_RESULT_QUERIES,
 )
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
-from zensim.sim_server.ros2_node.server_node import SimulateStepsAction
+from zensim.sim_server.ros2_node.steps_action import SimulateStepsAction
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 SEND_GOAL_SERVICE, CANCEL_GOAL_SERVICE, GET_RESULT_SERVICE = action.ACTION_SERVICES
