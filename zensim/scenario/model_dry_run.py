@@ -10,13 +10,11 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.settings.setting import make_settings
 from zensim.proto.settings.start_settings import WorldFileSettings
-from zensim.scenario.scenario_format import AGENT_FAULTS, Fault, RobotsSection
+from zensim.scenario.fault_sections import AGENT_FAULTS, Fault
+from zensim.scenario.scenario_format import RobotsSection
 from zensim.scenario.scenario_nodes import Issue
 from zensim.scenario.scenario_reader import Scenario
-from zensim.sim_server.description.builtin_models import (
-    list_builtin_worlds,
-    read_builtin_model,
-)
+from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_model
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.world_loading.world_loader_process import load_world_file

@@ -9,9 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.scenario.check_monitors import ScenarioEvent
-from zensim.scenario.quantities import make_uniforms
-from zensim.scenario.robot_behaviours import FleetState
-from zensim.scenario.scenario_format import (
+from zensim.scenario.fault_sections import (
     AGENT_FAULTS,
     AgentHang,
     AgentKill,
@@ -23,6 +21,8 @@ from zensim.scenario.scenario_format import (
     Fault,
     Kidnap,
 )
+from zensim.scenario.quantities import make_uniforms
+from zensim.scenario.robot_behaviours import FleetState
 from zensim.scenario.scenario_reader import Scenario
 
 FloatArray = npt.NDArray[np.float64]

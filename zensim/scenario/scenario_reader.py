@@ -12,16 +12,11 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec import inspect
 
+from zensim.scenario.fault_sections import Fault
 from zensim.scenario.quantities import Draw, resolve_draws
 from zensim.scenario.robot_places import ScenarioRobot
 from zensim.scenario.robot_selectors import select_robots
-from zensim.scenario.scenario_format import (
-    Behaviour,
-    Fault,
-    PythonBehaviour,
-    PythonCheck,
-    ScenarioFormat,
-)
+from zensim.scenario.scenario_format import Behaviour, PythonBehaviour, PythonCheck, ScenarioFormat
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode
 from zensim.scenario.scenario_references import ReferenceCheck
 from zensim.scenario.scenario_sources import read_merged_nodes

@@ -44,6 +44,16 @@ from zensim.scenario.check_monitors import (
     make_outline,
     make_rate_margin,
 )
+from zensim.scenario.fault_sections import (
+    AGENT_FAULTS,
+    CommandDelay,
+    CommandLoss,
+    CommandScale,
+    CommandStuck,
+    Fault,
+    Kidnap,
+    Push,
+)
 from zensim.scenario.robot_behaviours import (
     FleetState,
     PythonController,
@@ -55,19 +65,11 @@ from zensim.scenario.robot_places import ScenarioRobot
 from zensim.scenario.run_host import RunHost
 from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
 from zensim.scenario.scenario_format import (
-    AGENT_FAULTS,
     AllOfCheck,
     AnyOfCheck,
     Check,
     CheckOfRobots,
-    CommandDelay,
-    CommandLoss,
-    CommandScale,
-    CommandStuck,
-    Fault,
-    Kidnap,
     NoCollisionCheck,
-    Push,
     PythonBehaviour,
     PythonCheck,
     RateCheck,

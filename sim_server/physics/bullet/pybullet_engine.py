@@ -1,12 +1,8 @@
 """The Engine over PyBullet. It and the proof of the engine alone import pybullet."""
 
-import ctypes
 import math
-import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -20,14 +16,9 @@ import numpy as np
 from zensim.proto import rigid_transforms
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import ZERO, Model, Vec3
-from zensim.proto.se3 import conjugate, multiply, rotate
+from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import JointMotor, impose_planar_twists
-from zensim.sim_server.physics.blueprint import (
-    Blueprint,
-    BlueprintCache,
-    RigidPart,
-    order_depth_first,
-)
+from zensim.sim_server.physics.blueprint import Blueprint, BlueprintCache, order_depth_first
 from zensim.sim_server.physics.bullet.bullet_bodies import (
     COLLISION_SHAPE_KINDS,
     PARKING_DEPTH_M,
@@ -58,8 +49,10 @@ from zensim.sim_server.physics.bullet.bullet_contact import (
     list_self_collision_pairs,
     make_recovery_arguments,
 )
+from zensim.sim_server.physics.bullet.com_frames import ComFrames
 from zensim.sim_server.physics.bullet.joint_servos import JointDynamics, JointServos, make_free_mass
 from zensim.sim_server.physics.bullet.joint_springs import JointSprings, SpringTable
+from zensim.sim_server.physics.bullet.muted_output import suppress_output
 from zensim.sim_server.physics.bullet.pair_friction import (
     COLLIDE_WITH_ALL,
     COLLIDE_WITH_NOTHING,
@@ -89,6 +82,9 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.free_spin import find_explicit_torques, find_spinning
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
 
+with suppress_output():
+    import pybullet
+
 Vector3Tuple = tuple[float, float, float]
 QuaternionTuple = tuple[float, float, float, float]
 ReadBasePose = Callable[[int, int], tuple[Vector3Tuple, QuaternionTuple]]
@@ -96,6 +92,42 @@ ReadBaseVelocity = Callable[[int, int], tuple[Vector3Tuple, Vector3Tuple]]
 ReadJointStates = Callable[
     [int, Sequence[int], int], Iterable[tuple[float, float, Sequence[float], float]]
 ]
+MAX_LOOKED_UP = 8
+"""Tuples of bodies whose numbers of Bullet are kept."""
+MAX_PARTS = 128
+"""Bullet returns the states of a body's first 127 joints only."""
+VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
+ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
+ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
+ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
+ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+LEAST_FRICTION = 1e-9
+"""Friction of a controlled joint: a motor without force keeps the effort that it last exerted."""
+NO_CLIENT = -1
+ROOT_POSITION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+ROOT_AT_REST = (0.0,) * 6
+MAX_REMOVED_MODELS = 64
+"""Removed models of `BareModels`, beside as many as are in use, that make its client anew."""
+CARRIER_TORQUE_NM = 1e6
+"""Greatest torque of motors that hold carriers of wheels."""
+OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
+MAX_BOX_SHIFT_M = 0.05
+"""Distance of a root's centre of mass from which its pose is set again.
+
+Until a step, Bullet searches a body where its centre would be in the root's origin.
+"""
+COMPLIANCE = ("contactStiffness", "contactDamping")
+RECOVERY_TOLERANCE = 0.1
+"""Change of the share of a penetration that a step corrects, from which it is set again."""
+VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
+POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
+JOINT_TYPES = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
+JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
+GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
+NOT_RESTORABLE = (
+    "Bullet restores a state only in the world that it was saved in, and with the same bodies; "
+    "use MuJoCo, or restore before robots are spawned or deleted"
+)
 
 
 def read_base_states(
@@ -155,170 +187,6 @@ def reverse_contact_point(point: tuple[float, ...]) -> tuple[float, ...]:
     return (x, y, z, -nx, -ny, -nz, depth_m, -fx, -fy, -fz)
 
 
-CYCLIC_AXES = np.array([0, 1, 2, 0, 1])
-"""Extends vectors (3, n) to (5, n), so that cross products are products of slices."""
-
-
-@dataclass(frozen=True)
-class _ComOffsets:
-    """Centres of mass (5, n), extended by `CYCLIC_AXES`, and principal axes of some bodies."""
-
-    com_in_root: FloatArray
-    root_from_com: FloatArray
-    has_rotation: bool
-    has_translation: bool
-
-
-class ComFrames:
-    """Centre of mass and principal axes of each body, in its root link."""
-
-    def __init__(self) -> None:
-        self._com_in_root: FloatArray = np.zeros((64, 3))
-        self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
-        self._cached: tuple[Sequence[int], _ComOffsets] | None = None
-
-    def add(self, body: int, root: RigidPart) -> None:
-        """Add a body by its root part."""
-        while body >= len(self._com_in_root):
-            self._com_in_root = np.concatenate([self._com_in_root, self._com_in_root * 0.0])
-            self._root_from_com = np.concatenate([self._root_from_com, self._root_from_com])
-        self._com_in_root[body] = root.com
-        self._root_from_com[body] = conjugate(np.array(root.principal))
-        self._cached = None
-
-    def to_com_state(self, body: int, base: FloatArray) -> FloatArray:
-        """Find the state (13,) of the centre of mass of a root link at `base` (13,)."""
-        # In floats, which are ten times faster than arrays of one.
-        x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = base.tolist()
-        cx, cy, cz = self._com_in_root[body].tolist()
-        px, py, pz, pw = self._root_from_com[body].tolist()
-        arm = rigid_transforms.rotate((qx, qy, qz, qw), (cx, cy, cz))
-        turned = rigid_transforms.multiply((qx, qy, qz, qw), (-px, -py, -pz, pw))
-        tangential = rigid_transforms.cross((wx, wy, wz), arm)
-        position = rigid_transforms.add((x, y, z), arm)
-        linear = rigid_transforms.add((vx, vy, vz), tangential)
-        return np.array([*position, *turned, *linear, wx, wy, wz])
-
-    def orientations_and_arms(
-        self, bodies: Sequence[int], com: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Find root link orientations (n, 4), and vectors (n, 3) from there to the centres."""
-        offsets = self._offsets(bodies)
-        orientations = com[:, 3:7]
-        if offsets.has_rotation:
-            orientations = multiply(orientations, offsets.root_from_com)
-        return orientations, _rotate_columns(orientations, offsets.com_in_root).T
-
-    def states(self, bodies: Sequence[int], com: FloatArray) -> FloatArray:
-        """Convert states (n, 13) of centres of mass to root links, in place."""
-        offsets = self._offsets(bodies)
-        if offsets.has_rotation:
-            com[:, 3:7] = multiply(com[:, 3:7], offsets.root_from_com)
-        if offsets.has_translation:
-            arms = _rotate_columns(com[:, 3:7], offsets.com_in_root)
-            com[:, :3] -= arms.T
-            com[:, 7:10] -= _cross_columns(
-                com.T[10:13].take(CYCLIC_AXES, axis=0), arms.take(CYCLIC_AXES, axis=0)
-            ).T
-        return com
-
-    def _offsets(self, bodies: Sequence[int]) -> _ComOffsets:
-        """Collect the offsets of bodies; cached for the last tuple."""
-        if self._cached is not None and self._cached[0] is bodies:
-            return self._cached[1]
-        rows = np.asarray(bodies, dtype=np.intp)
-        coms, rotations = self._com_in_root[rows], self._root_from_com[rows]
-        found = _ComOffsets(
-            coms.T.take(CYCLIC_AXES, axis=0),
-            rotations,
-            has_rotation=bool(rotations[:, :3].any()),
-            has_translation=bool(coms.any()),
-        )
-        if isinstance(bodies, tuple):
-            self._cached = bodies, found
-        return found
-
-
-def _rotate_columns(rotations: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Rotate vectors (5, n) by quaternions (n, 4), into (3, n)."""
-    axes = rotations.T[:3].take(CYCLIC_AXES, axis=0)
-    twice = 2.0 * _cross_columns(axes, vectors)
-    return np.asarray(
-        vectors[:3] + rotations.T[3] * twice + _cross_columns(axes, twice.take(CYCLIC_AXES, axis=0))
-    )
-
-
-def _cross_columns(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Find the cross products (3, n) of vectors (5, n)."""
-    return np.asarray(left[1:4] * right[2:5] - left[2:5] * right[1:4])
-
-
-OUTPUT_STREAMS = (1, 2)
-C_LIBRARY = None if os.name == "posix" else "ucrtbase"
-"""Name of the C library; None = that of the interpreter."""
-
-
-@contextmanager
-def suppress_output() -> Iterator[None]:
-    """Discard what C code prints on stdout and stderr."""
-    libc = ctypes.CDLL(C_LIBRARY)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    libc.fflush(None)
-    copies = [os.dup(stream) for stream in OUTPUT_STREAMS]
-    null = os.open(os.devnull, os.O_WRONLY)
-    for stream in OUTPUT_STREAMS:
-        os.dup2(null, stream)
-    try:
-        yield
-    finally:
-        libc.fflush(None)
-        for stream, copy in zip(OUTPUT_STREAMS, copies, strict=True):
-            os.dup2(copy, stream)
-            os.close(copy)
-        os.close(null)
-
-
-with suppress_output():
-    import pybullet
-
-MAX_LOOKED_UP = 8
-"""Tuples of bodies whose numbers of Bullet are kept."""
-MAX_PARTS = 128
-"""Bullet returns the states of a body's first 127 joints only."""
-
-VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
-ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
-ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
-ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
-ORIGIN_POSE = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-LEAST_FRICTION = 1e-9
-"""Friction of a controlled joint: a motor without force keeps the effort that it last exerted."""
-NO_CLIENT = -1
-ROOT_POSITION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-ROOT_AT_REST = (0.0,) * 6
-MAX_REMOVED_MODELS = 64
-"""Removed models of `BareModels`, beside as many as are in use, that make its client anew."""
-CARRIER_TORQUE_NM = 1e6
-"""Greatest torque of motors that hold carriers of wheels."""
-OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
-MAX_BOX_SHIFT_M = 0.05
-"""Distance of a root's centre of mass from which its pose is set again.
-
-Until a step, Bullet searches a body where its centre would be in the root's origin.
-"""
-COMPLIANCE = ("contactStiffness", "contactDamping")
-RECOVERY_TOLERANCE = 0.1
-"""Change of the share of a penetration that a step corrects, from which it is set again."""
-
-VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
-POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
-JOINT_TYPES = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
-JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
-GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
-
-
 def _arrange(blueprint: Blueprint) -> Blueprint:
     twinned = order_depth_first(add_twin_surfaces(blueprint))
     return center_scenery(add_wheel_carriers(twinned))
@@ -344,10 +212,6 @@ class BulletOrigin:
 
 
 _ORIGINS = WeakValueDictionary[str, BulletOrigin]()
-NOT_RESTORABLE = (
-    "Bullet restores a state only in the world that it was saved in, and with the same bodies; "
-    "use MuJoCo, or restore before robots are spawned or deleted"
-)
 
 
 def _find_origin(name: str, changes: int) -> BulletOrigin:

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from zensim.sim_server.physics.bullet.pybullet_engine import suppress_output
+from zensim.sim_server.physics.bullet.muted_output import suppress_output
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_proof.engine_trials import (
     GRAVITY,

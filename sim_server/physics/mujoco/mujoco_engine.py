@@ -1,15 +1,13 @@
 """The Engine over MuJoCo. It and the proof of the engine alone import mujoco."""
 
 import math
-import os
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import deque
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -18,7 +16,7 @@ import numpy.typing as npt
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.se3 import conjugate, rotate
-from zensim.sim_server.physics.actuation import Actuation, impose_planar_twists, make_actuation
+from zensim.sim_server.physics.actuation import impose_planar_twists, make_actuation
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
 from zensim.sim_server.physics.engine import (
     NO_CONTACTS,
@@ -37,12 +35,17 @@ from zensim.sim_server.physics.engine import (
     make_unknown_efforts,
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.free_spin import (
-    can_precess,
-    find_implicit_torques,
-    find_spinning,
-)
+from zensim.sim_server.physics.free_spin import can_precess, find_implicit_torques, find_spinning
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
+from zensim.sim_server.physics.mujoco.body_selection import (
+    QPOS_POSE_ORDER,
+    BodySelection,
+    MujocoBody,
+    StateGather,
+    make_body_selection,
+    make_state_gather,
+)
+from zensim.sim_server.physics.mujoco.compile_cache import CompileCache
 from zensim.sim_server.physics.mujoco.convex_pieces import load_convex_pieces
 from zensim.sim_server.physics.mujoco.mjcf import (
     MAX_PARTS,
@@ -68,7 +71,6 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
 )
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
-    ROOT_QVEL_COUNT,
     Archetype,
     ArchetypeCache,
     IndexArray,
@@ -93,270 +95,32 @@ from zensim.sim_server.physics.mujoco.slot_state import (
     set_sleeping_trees,
 )
 
-QPOS_POSE_ORDER = np.array([0, 1, 2, 4, 5, 6, 3])
-
-
-@dataclass(frozen=True)
-class StateGather:
-    """Indexes of the states of a sequence of bodies.
-
-    Attributes:
-        free: Rows of the bodies whose root moves.
-        roots, twists: (f, 7) and (f, 6) indexes of their roots in qpos and qvel.
-        joint_count: Of all bodies, fixed joints included.
-        joints, positions, velocities: Joints that move, and their indexes in qpos and qvel.
-    """
-
-    free: IndexArray
-    roots: IndexArray
-    twists: IndexArray
-    joint_count: int
-    joints: IndexArray
-    positions: IndexArray
-    velocities: IndexArray
-
-    def read_bases(self, rows: FloatArray, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
-        """Write the states of free roots into `rows` (n, 13), which has those of the others."""
-        state = qpos[self.roots]
-        orientations = state[:, 3:]
-        # Norms drift by 1e-15, which arccos turns into an angle of 1e-7.
-        orientations /= np.sqrt(np.einsum("ij,ij->i", orientations, orientations))[:, None]
-        velocity = qvel[self.twists]
-        # Writing a slice is three times faster than writing rows by index.
-        free = slice(None) if len(rows) == len(self.free) else self.free
-        rows[free, :7] = state
-        rows[free, 7:10] = velocity[:, :3]
-        rows[free, 10:] = rotate(orientations, velocity[:, 3:])
-        return rows
-
-    def gather_joints(self, values: FloatArray, indexes: IndexArray) -> FloatArray:
-        """Gather values of joints; 0 for fixed ones."""
-        if len(self.joints) == self.joint_count:
-            return np.asarray(values[indexes])
-        gathered = np.zeros(self.joint_count)
-        gathered[self.joints] = values[indexes]
-        return gathered
-
-
-def make_state_gather(addresses: Sequence[SlotAddress]) -> StateGather:
-    """Find the state indexes of a sequence of bodies."""
-    free = np.array([row for row, address in enumerate(addresses) if address.is_free], np.intp)
-    roots = np.array([addresses[row].start.positions for row in free], np.intp)
-    twists = np.array([addresses[row].start.velocities for row in free], np.intp)
-    joints, positions, velocities = [], [], []
-    first = 0
-    for address in addresses:
-        moving, position, velocity = address.joints
-        joints.append(first + moving)
-        positions.append(position)
-        velocities.append(velocity)
-        first += len(address.layout.velocities)
-    return StateGather(
-        free,
-        roots[:, None] + QPOS_POSE_ORDER,
-        twists[:, None] + np.arange(ROOT_QVEL_COUNT),
-        first,
-        _concatenate_indexes(joints),
-        _concatenate_indexes(positions),
-        _concatenate_indexes(velocities),
-    )
-
-
-def _concatenate_indexes(parts: Sequence[IndexArray]) -> IndexArray:
-    return np.concatenate(parts) if parts else np.zeros(0, np.intp)
-
-
-@dataclass(frozen=True)
-class TargetScatter:
-    """Where the targets of a sequence of bodies go.
-
-    Attributes:
-        speeds, speed_columns: Indexes in qvel, and of their values in the targets.
-        angles, angle_columns: Likewise.
-        joints, joint_columns, joint_efforts: Likewise of the kinds of controlled joints, which
-            their numbers follow; and their greatest efforts.
-        roots, root_columns: (t,) and (t, 3) likewise, of roots with a planar twist.
-    """
-
-    speeds: IndexArray
-    speed_columns: IndexArray
-    angles: IndexArray
-    angle_columns: IndexArray
-    joints: IndexArray
-    joint_columns: IndexArray
-    joint_efforts: FloatArray
-    roots: IndexArray
-    root_columns: IndexArray
-
-    def apply(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
-        """Store targets; return whether motors change their mode, or a root gets a twist."""
-        stored.speeds[self.speeds] = targets[self.speed_columns]
-        stored.angles[self.angles] = targets[self.angle_columns]
-        is_new = self._store_joints(stored, targets) if len(self.joints) else False
-        if not len(self.roots):
-            return is_new
-        stored.twists[self.roots[:, None] + np.arange(3)] = targets[self.root_columns]
-        is_new |= not stored.is_twist_imposed[self.roots].all()
-        stored.is_twist_imposed[self.roots] = True
-        return is_new
-
-    def _store_joints(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
-        """Store the targets of controlled joints; return whether a kind has changed."""
-        joints, most = self.joints, self.joint_efforts
-        kinds, numbers = targets[self.joint_columns], targets[self.joint_columns + 1]
-        is_new = bool((stored.kinds[joints] != kinds).any())
-        stored.kinds[joints] = kinds
-        stored.angles[joints] = np.where(kinds == JointTargetKind.POSITION, numbers, 0.0)
-        stored.speeds[joints] = np.where(kinds == JointTargetKind.VELOCITY, numbers, 0.0)
-        pushed = np.where(kinds == JointTargetKind.EFFORT, numbers, 0.0)
-        stored.efforts[joints] = np.clip(pushed, -most, most)
-        return is_new
-
-
-def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> TargetScatter:
-    """Find the indexes for the targets of a sequence of bodies."""
-    speeds: list[tuple[int, int]] = []
-    angles: list[tuple[int, int]] = []
-    joints: list[tuple[int, int]] = []
-    efforts: list[float] = []
-    roots: list[tuple[int, int]] = []
-    first = 0
-    for address, actuation in bodies:
-        for pairs, motors in ((speeds, actuation.speeds), (angles, actuation.angles)):
-            for joint, column in zip(motors.joints, motors.columns, strict=True):
-                if (index := address.joint_velocity(joint)) != NO_INDEX:
-                    pairs.append((index, first + column))
-        for motor in actuation.joint_motors:
-            if (index := address.joint_velocity(motor.joint)) != NO_INDEX:
-                joints.append((index, first + motor.column))
-                efforts.append(motor.effort)
-        if actuation.twist is not None and address.is_free:
-            roots.append((address.start.velocities, first + actuation.twist))
-        first += actuation.width
-    speed, angle, joint, root = (
-        np.array(pairs, np.intp).reshape(-1, 2).T for pairs in (speeds, angles, joints, roots)
-    )
-    root_columns = root[1][:, None] + np.arange(3)
-    return TargetScatter(
-        *(speed[0], speed[1], angle[0], angle[1]),
-        *(joint[0], joint[1], np.array(efforts), root[0], root_columns),
-    )
-
-
-@dataclass
-class MujocoBody:
-    """A body in MuJoCo.
-
-    Attributes:
-        slot: Its slot among those of its archetype.
-        fixed_state: State (13,) to read when MuJoCo has none: of a static or diverged body.
-    """
-
-    model: Model
-    archetype: Archetype
-    slot: int
-    address: SlotAddress
-    actuation: Actuation
-    loads: Sequence[LinkForce]
-    fixed_state: FloatArray | None = None
-
-
-@dataclass(frozen=True)
-class BodySelection:
-    """Indexes to read and command a sequence of bodies."""
-
-    gather: StateGather
-    scatter: TargetScatter
-    static_bodies: tuple[tuple[int, MujocoBody], ...]
-    """Static bodies by row."""
-
-    def read_bases(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
-        """Read states (n, 13)."""
-        rows = np.empty((len(self.gather.free) + len(self.static_bodies), 13))
-        for row, body in self.static_bodies:
-            rows[row] = body.fixed_state
-        return self.gather.read_bases(rows, qpos, qvel)
-
-
-def make_body_selection(bodies: Sequence[MujocoBody]) -> BodySelection:
-    """Find the indexes of a sequence of bodies."""
-    return BodySelection(
-        make_state_gather([body.address for body in bodies]),
-        make_target_scatter((body.address, body.actuation) for body in bodies),
-        tuple((row, body) for row, body in enumerate(bodies) if body.archetype.is_static),
-    )
-
-
-MAX_CACHED_MODELS = 24
-COMPILE_THREAD = "mujoco-compile"
-PRECOMPILE_MIN_SLOTS, PRECOMPILE_MAX_SLOTS = 16, 256
-"""Slots of an archetype: fewer compile fast, and cells have no more."""
-
-Compiled = TypeVar("Compiled")
-CompileKey = tuple[SlotCounts, EngineConfig]
-
-
-class CompileCache(Generic[Compiled]):
-    """Least recently used cache of compiled models, shared by the engines of a process."""
-
-    def __init__(self, compile_model: Callable[[SlotCounts, EngineConfig], Compiled]) -> None:
-        """Make a cache; `compile_model` raises ValueError, and releases the interpreter's lock."""
-        self._compile = compile_model
-        self._compiled_models: OrderedDict[CompileKey, Future[Compiled]] = OrderedDict()
-        self._thread = ThreadPoolExecutor(1, COMPILE_THREAD)
-        self._process = os.getpid()
-
-    def is_ready(self, counts: SlotCounts, config: EngineConfig) -> bool:
-        """Whether `compile` would not wait; if not, start compiling on the thread."""
-        return self._start((counts, config)).done()
-
-    def compile(self, counts: SlotCounts, config: EngineConfig) -> Compiled:
-        """Find or compile a model; raises ValueError if MuJoCo cannot compile it."""
-        key = counts, config
-        if (found := self._find(key)) is None:
-            found = self._compiled_models[key] = Future()
-            _compile_into(found, self._compile, key)
-        self._compiled_models.move_to_end(key)
-        while len(self._compiled_models) > MAX_CACHED_MODELS:
-            self._compiled_models.popitem(last=False)
-        return found.result()
-
-    def compile_ahead(self, counts: SlotCounts, archetype: Archetype, config: EngineConfig) -> None:
-        """Start compiling models with twice and four times the slots of an archetype."""
-        slots = dict(counts)[archetype]
-        if slots < PRECOMPILE_MIN_SLOTS:
-            return
-        for more in (2 * slots, 4 * slots):
-            if more <= PRECOMPILE_MAX_SLOTS:
-                self._start((tuple({**dict(counts), archetype: more}.items()), config))
-
-    def _find(self, key: CompileKey) -> "Future[Compiled] | None":
-        if self._process != os.getpid():
-            self._continue_in_copy()
-        return self._compiled_models.get(key)
-
-    def _continue_in_copy(self) -> None:
-        """Replace the thread, which a copy of the process lacks, and forget what it had begun."""
-        self._process, self._thread = os.getpid(), ThreadPoolExecutor(1, COMPILE_THREAD)
-        for key, future in list(self._compiled_models.items()):
-            if not future.done():
-                del self._compiled_models[key]
-
-    def _start(self, key: CompileKey) -> "Future[Compiled]":
-        if (found := self._find(key)) is None:
-            found = self._compiled_models[key] = self._thread.submit(self._compile, *key)
-        return found
-
-
-def _compile_into(
-    future: "Future[Compiled]",
-    compile_model: Callable[[SlotCounts, EngineConfig], Compiled],
-    key: CompileKey,
-) -> None:
-    try:
-        future.set_result(compile_model(*key))
-    except Exception as error:  # noqa: BLE001 - or who asks again would wait for ever
-        future.set_exception(error)
+OVERLAP_M = 0.001
+"""Depth from which bodies overlap instead of touching."""
+MAX_SPEED_CHANGE = 20.0
+"""Change of a speed in a step [m/s or rad/s] above which the step is solved again."""
+FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
+"""Solver and iterations of the second solve."""
+MAX_SOLVES = 4
+"""Solves of a step in which contacts slide."""
+MAX_CACHED_SELECTIONS = 4096
+MAX_ANNOUNCED_AT_ONCE = 32
+"""Expected bodies whose archetypes are found between two steps."""
+SLOT_ARRAYS = (
+    *("body_pos", "body_quat", "body_gravcomp", "body_contype", "body_conaffinity"),
+    *("geom_contype", "geom_conaffinity", "dof_frictionloss", "jnt_stiffness"),
+)
+"""Arrays of a model that differ between engines: see `MjModelArrays`."""
+MAX_SPARES, MAX_SPARE_BYTES = 8, 1 << 22
+"""A world that gets ten robots one by one grows through five sizes, which the next one uses."""
+_NO_ARRAYS = dict.fromkeys(("_compiled", "_model", "_data", "_selections", "_solved_motors"))
+NO_OWNERS = np.zeros(0, np.intp)
+GROUP_SIZE = 16
+"""Copies that are stepped together: few enough for the cache."""
+JOINT_YIELD_SHARE = 0.3
+"""Yield of joints with limits, over MuJoCo's least, at which long arms sag at 100 Hz."""
+MAX_UNDAMPED_SPRING = 0.25
+"""Stiffness of a spring times step squared over mass, up to which it may oscillate undamped."""
 
 
 class MjBodyMotions(Protocol):
@@ -567,18 +331,6 @@ def find_near_geometries(centres: FloatArray, radii: FloatArray, own: IndexArray
 # Warnings would go to the terminal and to a file in the working directory.
 mujoco.set_mju_user_warning(lambda _: None)
 
-OVERLAP_M = 0.001
-"""Depth from which bodies overlap instead of touching."""
-MAX_SPEED_CHANGE = 20.0
-"""Change of a speed in a step [m/s or rad/s] above which the step is solved again."""
-FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
-"""Solver and iterations of the second solve."""
-MAX_SOLVES = 4
-"""Solves of a step in which contacts slide."""
-MAX_CACHED_SELECTIONS = 4096
-MAX_ANNOUNCED_AT_ONCE = 32
-"""Expected bodies whose archetypes are found between two steps."""
-
 
 def find_solved_dofs(
     change: FloatArray, islands: npt.NDArray[np.int32], trees: npt.NDArray[np.int32]
@@ -621,13 +373,6 @@ class CompiledModel:
         return model, mujoco.MjData(model)
 
 
-SLOT_ARRAYS = (
-    *("body_pos", "body_quat", "body_gravcomp", "body_contype", "body_conaffinity"),
-    *("geom_contype", "geom_conaffinity", "dof_frictionloss", "jnt_stiffness"),
-)
-"""Arrays of a model that differ between engines: see `MjModelArrays`."""
-
-
 @dataclass(frozen=True)
 class SavedState:
     """State of an engine, without what its compiled model has.
@@ -643,10 +388,6 @@ class SavedState:
     numbers: FloatArray
     accelerations: FloatArray
     arrays: tuple[FloatArray, ...]
-
-
-MAX_SPARES, MAX_SPARE_BYTES = 8, 1 << 22
-"""A world that gets ten robots one by one grows through five sizes, which the next one uses."""
 
 
 class SpareArrays:
@@ -675,7 +416,6 @@ class SpareArrays:
 
 
 _SPARES = SpareArrays()
-_NO_ARRAYS = dict.fromkeys(("_compiled", "_model", "_data", "_selections", "_solved_motors"))
 
 
 class MujocoEngine(Engine):
@@ -1402,11 +1142,6 @@ class ReplicatedEngine(MujocoEngine):
         self._diverged.update(self._bodies)
 
 
-NO_OWNERS = np.zeros(0, np.intp)
-GROUP_SIZE = 16
-"""Copies that are stepped together: few enough for the cache."""
-
-
 class StackedContacts(NamedTuple):
     """Rows of the contacts of several worlds, one after another; see `MjRows`."""
 
@@ -1661,12 +1396,6 @@ def _shift_body(body: MujocoBody, *, positions: int, velocities: int) -> MujocoB
         start, positions=start.positions + positions, velocities=start.velocities + velocities
     )
     return replace(body, address=replace(body.address, start=start))
-
-
-JOINT_YIELD_SHARE = 0.3
-"""Yield of joints with limits, over MuJoCo's least, at which long arms sag at 100 Hz."""
-MAX_UNDAMPED_SPRING = 0.25
-"""Stiffness of a spring times step squared over mass, up to which it may oscillate undamped."""
 
 
 def find_least_spring_damping(stiffness: float, inverse_mass: float, dt_s: float) -> float:

@@ -1,9 +1,6 @@
 """PyBulletEngine beyond the contract: masses, frictions, limits, pool, sleep."""
 
-import ctypes
 import math
-import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
@@ -44,28 +41,9 @@ from zensim.proto.messages.model_messages import (
     Shape,
 )
 from zensim.sim_server.physics.blueprint import make_blueprint
-from zensim.sim_server.physics.bullet.pybullet_engine import (
-    MAX_PARTS,
-    PyBulletEngine,
-    suppress_output,
-)
+from zensim.sim_server.physics.bullet.pybullet_engine import MAX_PARTS, PyBulletEngine
 from zensim.sim_server.physics.engine import EngineRefused
 from zensim.sim_server.physics.engine_config import EngineConfig
-
-
-def print_from_c(text: str) -> None:
-    libc = ctypes.CDLL(None)
-    libc.puts(text.encode())
-
-
-def test_suppress_output_discards_both_streams_of_c_code(capfd: pytest.CaptureFixture[str]) -> None:
-    with suppress_output():
-        print_from_c("from puts")
-        os.write(1, b"to stdout\n")
-        os.write(2, b"to stderr\n")
-
-    said = capfd.readouterr()
-    assert (said.out, said.err) == ("", "")
 
 
 def a_static_scene(friction: float = 0.5) -> Model:
@@ -98,46 +76,6 @@ def test_contacts_between_models_that_do_not_move_are_not_searched() -> None:
         advance(engine, 2)
         assert touching(engine, box, one) > 0
         assert touching(engine, swinging, one) > 0
-
-
-def test_suppress_output_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
-    with suppress_output():
-        pass
-    os.write(1, b"to stdout\n")
-    os.write(2, b"to stderr\n")
-
-    said = capfd.readouterr()
-    assert (said.out, said.err) == ("to stdout\n", "to stderr\n")
-
-
-def test_suppress_output_keeps_earlier_output(capfd: pytest.CaptureFixture[str]) -> None:
-    sys.stdout.write("before\n")
-    print_from_c("before, from C")
-
-    with suppress_output():
-        print_from_c("inside")
-
-    assert set(capfd.readouterr().out.splitlines()) == {"before", "before, from C"}
-
-
-def test_suppress_output_ends_on_an_exception(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(KeyError), suppress_output():
-        raise KeyError
-
-    os.write(1, b"heard\n")
-
-    assert capfd.readouterr().out == "heard\n"
-
-
-def test_suppress_output_leaves_no_file_open() -> None:
-    before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  a list of numbers, not of paths
-
-    for _ in range(5):
-        with suppress_output():
-            pass
-
-    # The collector may close what other tests left.
-    assert len(os.listdir("/proc/self/fd")) <= before  # noqa: PTH208
 
 
 DT_S = STEP_NS * 1e-9

@@ -7,7 +7,7 @@ from threading import Event
 from tests.engines import STEP_NS
 from tests.integration.processes import eventually
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.mujoco.mujoco_engine import CompileCache
+from zensim.sim_server.physics.mujoco.compile_cache import CompileCache
 from zensim.sim_server.physics.mujoco.slot_layout import Archetype, SlotCounts
 
 CONFIG = EngineConfig(STEP_NS)
