@@ -65,10 +65,9 @@ GOALS: Final[Mapping[str, int]] = {
 }
 CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
-    "source lines": 147_350,  # ADRs 153, 154 and 160
+    "source lines": 147_315,  # ADRs 153, 154 and 160
     "longest import chain": 32,
-    "modules with three seams": 24,
-    "classes of networks": 31,
+    "classes of networks": 30,
     "classes with six verbs of engines": 11,
     "files of a spawn": 110,  # 94 to 100: more on a busy machine
     "files of a tick": 88,  # 77 to 83, likewise; ADRs 155 and 157 added four

@@ -99,22 +99,6 @@ class Housekeeping:
             self._target.log_malformed()
 
 
-class ClaimClient(Protocol):
-    """Claims entities; `NamedClaimClient` by name, `ShareClaimClient` a share of all."""
-
-    def poll(self, now_s: float) -> tuple[Claim, ...]:
-        """Call the claim service if it is due; return new claims."""
-
-    def retry_soon(self) -> None:
-        """Call soon: something has changed."""
-
-    def reclaim(self, entities: tuple[str, ...]) -> None:
-        """Note that entities were lost."""
-
-    def forget_call(self) -> None:
-        """Forget a call that is pending: its server is gone."""
-
-
 class RobotSet(HousekeepingTarget, Protocol):
     """The robots of an agent; `IndividualRobots` one by one, `PooledRobots` in arrays."""
 
@@ -486,7 +470,9 @@ def _make_robot_set(
     return PooledRobots(network, timeout_ns, graph, rx_session, watches)
 
 
-def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClient:
+def _make_claim_client(
+    network: AgentNetwork, config: AgentConfig
+) -> NamedClaimClient | ShareClaimClient:
     if config.pool_limit is None:
         settings = ClaimSettings(
             world=config.world,

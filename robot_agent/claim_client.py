@@ -3,14 +3,14 @@
 import logging
 import math
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
 import msgspec
 
 from zensim.proto.bus.bus_errors import NoServer
-from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import (
     Claim,
     ClaimEntityRequest,
@@ -22,10 +22,11 @@ from zensim.proto.messages.agent_messages import (
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Event
 from zensim.proto.near_names import name_choices
-from zensim.proto.network_protocols import AgentNetwork, PendingCall, Subscription
+from zensim.proto.network_protocols import AgentNetwork, PendingCall
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
 from zensim.spawner.client.service_client import ServiceClient
+from zensim.spawner.client.topic_reader import TopicReader, read_topic
 
 LOG = logging.getLogger("zensim.agent")
 CALL_TIMEOUT_S = 5.0
@@ -115,13 +116,6 @@ class ClaimRetry:
         return next_s
 
 
-def _take_events(subscription: Subscription) -> Iterator[Event]:
-    """Take the well-formed events."""
-    for sample in subscription.take():
-        with suppress(MalformedPayload):
-            yield decode(Event, sample.payload, sample.encoding)
-
-
 class ClaimSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Entities that an agent claims, and how long it waits for them at the start."""
 
@@ -142,7 +136,7 @@ class NamedClaimClient:
         self._is_split = False
         self._retry = ClaimRetry(settings.agent, settings.wait_s, self._describe)
         self._next_s = -math.inf
-        self._events: Subscription | None = None
+        self._events: TopicReader[Event] | None = None
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
         """Claim lost entities at the next poll."""
@@ -192,8 +186,8 @@ class NamedClaimClient:
     def _react_to_events(self) -> None:
         if self._events is None:
             key = EVENTS.key(self._settings.world)
-            self._events = self._network.subscribe(key, CLAIM_EVENTS_DEPTH)
-        for event in _take_events(self._events):
+            self._events = read_topic(self._network, key, Event, CLAIM_EVENTS_DEPTH)
+        for event in self._events.take():
             if event.entity in self._missing and event.kind in CLAIM_EVENTS:
                 self.retry_soon()
 
@@ -265,7 +259,8 @@ class ShareClaimClient:
     def __init__(self, network: AgentNetwork, settings: ShareSettings) -> None:
         self._network = network
         self._settings = settings
-        self._events = network.subscribe(EVENTS.key(settings.world), SHARE_EVENTS_DEPTH)
+        key = EVENTS.key(settings.world)
+        self._events = read_topic(network, key, Event, SHARE_EVENTS_DEPTH)
         self._retry = ClaimRetry(settings.agent, settings.wait_s)
         self._called_s = self._next_s = -math.inf
         self._call: PendingCall[ClaimShareResponse] | None = None
@@ -291,7 +286,7 @@ class ShareClaimClient:
             TimeoutError: The server does not reply.
             MalformedPayload: The reply is malformed.
         """
-        if any(event.kind in SHARE_EVENTS for event in _take_events(self._events)):
+        if any(event.kind in SHARE_EVENTS for event in self._events.take()):
             self.retry_soon()
         if self._call is None and now_s < self._next_s:
             return ()

@@ -9,10 +9,7 @@ import msgspec
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Quat
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SensorsReply,
-)
+from zensim.proto.messages.sensing_messages import Environment, SensorsReply
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import ModelFiles
 from zensim.proto.messages.world_messages import WorldResource
@@ -35,6 +32,12 @@ from zensim.sim_server.parser_process.mesh_server import PublishedFiles
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import BuiltWorld, SimulatedWorld, WorldFactory
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
+
+MAX_CLEARANCES = 64
+"""Most models and orientations whose height over the ground is kept."""
+UPSIDE_DOWN: Quat = (1.0, 0.0, 0.0, 0.0)
+FLAT_M = 0.02
+"""Height of a world's file that is ground only."""
 
 
 @dataclass(frozen=True)
@@ -177,10 +180,6 @@ class Bonds:
                 self.world.delete(name)
 
 
-MAX_CLEARANCES = 64
-"""Most models and orientations whose height over the ground is kept."""
-
-
 @dataclass
 class Descriptions:
     """Parsed models, and the mesh files that they name."""
@@ -224,11 +223,6 @@ class Descriptions:
             else one
             for one in claims
         )
-
-
-UPSIDE_DOWN: Quat = (1.0, 0.0, 0.0, 0.0)
-FLAT_M = 0.02
-"""Height of a world's file that is ground only."""
 
 
 @dataclass

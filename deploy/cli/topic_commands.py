@@ -32,11 +32,7 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.network_protocols import Sample
-from zensim.proto.options.command_options import (
-    ConnectionOptions,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import ConnectionOptions, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.schema import list_messages
@@ -62,6 +58,25 @@ ARRAY_TYPES = dict.fromkeys(
 )
 CLAIM_TYPE = "<u4"
 MAX_NESTING = 64
+_NOT_FINITE = {"inf": ".Inf", "-inf": "-.Inf", "nan": ".nan"}
+app = make_app()
+POLL_S = 0.002
+QUEUE_DEPTH = 65536
+KeyArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="KEY",
+        help="Key expression, such as r1/odom or '*/odom'.",
+        autocompletion=complete_topics,
+    ),
+]
+DurationOption = Annotated[
+    float, typer.Option("--duration", metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
+]
+WindowOption = Annotated[
+    int,
+    typer.Option("--window", min=2, metavar="N", help="Average over the last N messages."),
+]
 
 
 def to_plain(sample: Sample) -> object:
@@ -108,9 +123,6 @@ def _decode_field(name: str, value: object) -> object:
     return msgspec.to_builtins(value)
 
 
-_NOT_FINITE = {"inf": ".Inf", "-inf": "-.Inf", "nan": ".nan"}
-
-
 def to_yaml_lines(plain: object, indent: str = "") -> Iterator[str]:
     """Format plain values as YAML, like `ros2 topic echo`."""
     if isinstance(plain, dict):
@@ -143,28 +155,6 @@ def _yaml_scalar(value: object) -> str:
     if isinstance(value, bool) or value is None:
         return str(value).lower().replace("none", "null")
     return str(value)
-
-
-app = make_app()
-
-POLL_S = 0.002
-QUEUE_DEPTH = 65536
-
-KeyArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="KEY",
-        help="Key expression, such as r1/odom or '*/odom'.",
-        autocompletion=complete_topics,
-    ),
-]
-DurationOption = Annotated[
-    float, typer.Option("--duration", metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
-]
-WindowOption = Annotated[
-    int,
-    typer.Option("--window", min=2, metavar="N", help="Average over the last N messages."),
-]
 
 
 @dataclass(frozen=True, kw_only=True)

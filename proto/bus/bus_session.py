@@ -24,12 +24,8 @@ from zensim.proto.bus.session_opening import OPEN_TIMEOUTS_S, open_session
 from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
-from zensim.proto.network_protocols import (
-    MAX_REQUEST_BYTES,
-    MAX_REQUEST_ID_BYTES,
-    Sample,
-    Stamp,
-)
+from zensim.proto.network_protocols import MAX_REQUEST_BYTES, MAX_REQUEST_ID_BYTES, Sample, Stamp
+from zensim.proto.newest_messages import NewestMessages
 from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
 from zensim.proto.reply_sender import REPLY_BYTES, ReplySender, Send
 from zensim.proto.service_catalog import (
@@ -457,48 +453,6 @@ class BusSubscription:
             self._traffic.received += 1
             self._traffic.received_bytes += len(last.payload)
         return last
-
-    def close(self) -> None:
-        """Undeclare the subscription."""
-        self._subscriber.undeclare()
-
-
-class NewestSubscription:
-    """Subscription that keeps the newest message of each key until it is taken.
-
-    The others are not copied, so that many messages cost little.
-    """
-
-    def __init__(
-        self,
-        subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]",
-        keeps_all: Callable[[str], bool],
-        traffic: BusTraffic,
-    ) -> None:
-        self._subscriber = subscriber
-        self._keeps_all = keeps_all
-        self._traffic = traffic
-        self._newest: dict[str, zenoh.Sample] = {}
-        self._all: list[zenoh.Sample] = []
-
-    def collect(self) -> None:
-        """Take what is queued, so that the queue does not fill."""
-        newest, receive = self._newest, self._subscriber.try_recv
-        while (sample := receive()) is not None:
-            key = str(sample.key_expr)
-            if key in newest or not self._keeps_all(key):
-                newest[key] = sample
-            else:
-                self._all.append(sample)
-
-    def take(self) -> list[Sample]:
-        """Take the newest message of each key, and all of the keys of which all are kept."""
-        self.collect()
-        kept = [*self._all, *self._newest.values()]
-        self._all, self._newest = [], {}
-        self._traffic.received += len(kept)
-        self._traffic.received_bytes += sum(len(one.payload) for one in kept)
-        return [to_sample(one) for one in kept if len(one.payload) <= MAX_MESSAGE_BYTES]
 
     def close(self) -> None:
         """Undeclare the subscription."""
@@ -1009,7 +963,7 @@ class Bus:
 
     def subscribe_newest(
         self, key: str, depth: int, keeps_all: Callable[[str], bool]
-    ) -> NewestSubscription:
+    ) -> NewestMessages[zenoh.Sample]:
         """Subscribe to a key expression, for a caller that needs the newest message of each key.
 
         Args:
@@ -1018,7 +972,17 @@ class Bus:
             keeps_all: Whether all messages of a key are kept.
         """
         declared = self._session.declare_subscriber(to_key_expression(key), RingChannel(depth))
-        return NewestSubscription(declared, keeps_all, self.traffic)
+
+        def receive() -> Iterator[tuple[str, zenoh.Sample]]:
+            while (sample := declared.try_recv()) is not None:
+                yield str(sample.key_expr), sample
+
+        def copy(kept: list[zenoh.Sample]) -> list[Sample]:
+            self.traffic.received += len(kept)
+            self.traffic.received_bytes += sum(len(one.payload) for one in kept)
+            return [to_sample(one) for one in kept if len(one.payload) <= MAX_MESSAGE_BYTES]
+
+        return NewestMessages(receive, copy, declared.undeclare, keeps_all)
 
     def subscribe_copying(
         self, key: str, depth: int, max_bytes: int = MAX_COPIED_BYTES

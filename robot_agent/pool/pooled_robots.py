@@ -65,6 +65,9 @@ TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
 PLAIN_ENCODINGS = frozenset({make_encoding(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
 """Encodings with which 52 bytes of CDR are a Twist."""
+FLOAT_BYTES = 8
+LOG = logging.getLogger("zensim.agent")
+GROUP_NODE_PREFIX = "zensim_pool"
 
 
 class FleetCmdVel:
@@ -462,9 +465,6 @@ class RobotGroup:
         self._sensors.remap(claims, before)
 
 
-FLOAT_BYTES = 8
-
-
 class PoolStateLayout:
     """Robots in the order of a state's claims, and the start of their joints and targets."""
 
@@ -537,10 +537,6 @@ def _unpack_floats(numbers: bytes, count: int) -> FloatArray:
             f"drive state does not fit its claims: {len(numbers)} bytes for {count} numbers"
         )
     return np.frombuffer(numbers, dtype="<f8")
-
-
-LOG = logging.getLogger("zensim.agent")
-GROUP_NODE_PREFIX = "zensim_pool"
 
 
 @dataclass(frozen=True)

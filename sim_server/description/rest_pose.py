@@ -53,6 +53,10 @@ UPRIGHT_AXIS_Z = 0.9
 MOVABLE_KINDS = ("revolute", "continuous", "prismatic")
 MIN_LOAD_SHARE = 1e-6
 """Share of the weight; contacts with less are not in contact."""
+PointOfShape = tuple[FloatArray, float, float]
+"""Centre in the shape, radius of the circle, radius of the ball."""
+BOX_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+MAX_MESH_POINTS = 64
 
 
 @dataclass(frozen=True)
@@ -367,11 +371,6 @@ def _list_support_points(model: Model, corners: FindCorners, frames: LinkFrames)
     )
 
 
-PointOfShape = tuple[FloatArray, float, float]
-"""Centre in the shape, radius of the circle, radius of the ball."""
-BOX_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-
-
 def _list_points_of_shape(
     shape: Shape, up: FloatArray, corners: FindCorners
 ) -> Iterable[PointOfShape]:
@@ -392,9 +391,6 @@ def _list_points_of_shape(
     angles = np.arange(RIM_POINTS) * (2.0 * np.pi / RIM_POINTS)
     rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), 0.0 * angles], axis=1)
     return [(point, 0.0, 0.0) for end in ends for point in rim + end]
-
-
-MAX_MESH_POINTS = 64
 
 
 def _lowest_points(points: FloatArray, up: FloatArray) -> FloatArray:

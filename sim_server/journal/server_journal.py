@@ -70,6 +70,12 @@ BOND_TIMEOUT_S = 10.0
 
 TRANSIENT_STATES = (State.LOADING_WORLD, State.QUITTING)
 """States that are not recorded: no server starts in them."""
+DEADLINE_S = 10.0
+"""Time for one attempt."""
+MAX_CRASHES = 2
+"""Crashes of a process after which an entity is excluded."""
+ASSETS = "assets"
+CRASHED_REASON = "crashed the process that restored it twice"
 
 
 class RecordQueue(Protocol):
@@ -449,12 +455,6 @@ def find_recorded_state(
     return motion.states.base[row].copy(), motion.states.joint_positions[joints].copy()
 
 
-DEADLINE_S = 10.0
-"""Time for one attempt."""
-MAX_CRASHES = 2
-"""Crashes of a process after which an entity is excluded."""
-
-
 def ends_process(attempts: Sequence[Callable[[], None]]) -> bool:
     """Whether attempts, run in order in a copy of this process, end it."""
     return _find_first_crash(attempts, []) is not None
@@ -488,10 +488,6 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
 
     last, status = run_in_fork(run, DEADLINE_S)
     return last if status else None
-
-
-ASSETS = "assets"
-CRASHED_REASON = "crashed the process that restored it twice"
 
 
 @dataclass

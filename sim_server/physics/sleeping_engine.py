@@ -27,6 +27,18 @@ WAKE_DISTANCE_M = 0.02
 """Gap below which bodies count as near."""
 BODIES_PER_CHUNK = 256
 """Awake bodies per distance matrix, to bound memory."""
+MOTIONLESS_M, MOTIONLESS_RAD = 2e-5, 1e-5
+"""Largest motion since the last check, or its placement, of a body that sleeps without delay; of
+joints in rad or m the second.
+
+A box sinks 0.01 mm into its contacts when Bullet simulates it first, a robot that is placed on its
+wheels 0.02 mm in a tenth of a second, and 0.001 mm in the next.
+"""
+MOTIONLESS_SPEED = 1e-4
+"""Largest speed [m/s and rad/s] of a body that sleeps without delay, of joints, too."""
+SLEEP_CHECK_PERIOD_S = 0.1
+LOOKAHEAD_PERIODS = 2.0
+"""Time ahead for which contacts are predicted, in check periods."""
 
 
 class SleepState(IntEnum):
@@ -52,17 +64,6 @@ class SleepThresholds:
 FREE_BODY_THRESHOLDS = SleepThresholds(5e-4, 1e-3, 1e-3)
 BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
 """Thresholds where motors brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
-
-
-MOTIONLESS_M, MOTIONLESS_RAD = 2e-5, 1e-5
-"""Largest motion since the last check, or its placement, of a body that sleeps without delay; of
-joints in rad or m the second.
-
-A box sinks 0.01 mm into its contacts when Bullet simulates it first, a robot that is placed on its
-wheels 0.02 mm in a tenth of a second, and 0.001 mm in the next.
-"""
-MOTIONLESS_SPEED = 1e-4
-"""Largest speed [m/s and rad/s] of a body that sleeps without delay, of joints, too."""
 
 
 def choose_sleep_thresholds(model: Model) -> SleepThresholds:
@@ -298,11 +299,6 @@ def find_reachable(
             distance = np.linalg.norm(base[chunk, None, :3] - others[None], axis=2)
             found |= (distance < reach[chunk, None] + radii[None]).any(axis=0)
     return found
-
-
-SLEEP_CHECK_PERIOD_S = 0.1
-LOOKAHEAD_PERIODS = 2.0
-"""Time ahead for which contacts are predicted, in check periods."""
 
 
 def wrap_with_sleep(engine: Engine, config: EngineConfig) -> Engine:

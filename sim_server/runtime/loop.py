@@ -54,6 +54,27 @@ RESEND_AFTER_NS = 20_000_000
 LOG = logging.getLogger(__name__)
 SavedSessions = tuple[tuple[int, int], int, SentStates]
 """Version and orders of the last states that were published, and these states."""
+POLL_S = 0.0003
+"""Pause of a loop that waits for agents, or for a step for a while after a request."""
+BUSY_NS = 100_000_000
+"""Time of `POLL_S` after a call: calls in turn do not wait, and single ones wake the loop less."""
+IDLE_POLL_S = 0.001
+EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
+"""Time of fast polling of requests after a requested step, and its period."""
+SETTLE_S = 0.001
+"""Most time that the loop waits for replies to leave before it goes on with a step."""
+MAX_BUSY_REFUSALS = 512
+"""Refusals of excess requests in a second; more end without a value, which costs less."""
+MAX_TURN_REFUSALS = 64
+"""The same in a turn, so that a thousand requests at once do not delay a step."""
+MAX_EVENTS_PER_TURN = 128
+"""Events published per turn; spawning many robots makes more than fit between two steps."""
+MAX_DRAIN_NS = 10_000_000_000
+"""Longest time that the end of a server waits for requests that are not finished."""
+MAX_LAG_NS = 50_000_000
+"""Most that the loop catches up; beyond that the deadline moves."""
+SavedLoop = tuple[DueTimes, TouchingSensors, SavedSessions]
+"""State of a `ServerLoop` beside its world."""
 
 
 class AgentSessions:
@@ -349,27 +370,6 @@ class AgentSessions:
             self._world.clock.add_event("warning", agent=agent, message=message)
 
 
-POLL_S = 0.0003
-"""Pause of a loop that waits for agents, or for a step for a while after a request."""
-BUSY_NS = 100_000_000
-"""Time of `POLL_S` after a call: calls in turn do not wait, and single ones wake the loop less."""
-IDLE_POLL_S = 0.001
-EAGER_NS, EAGER_POLL_S = 20_000_000, 0.0001
-"""Time of fast polling of requests after a requested step, and its period."""
-SETTLE_S = 0.001
-"""Most time that the loop waits for replies to leave before it goes on with a step."""
-MAX_BUSY_REFUSALS = 512
-"""Refusals of excess requests in a second; more end without a value, which costs less."""
-MAX_TURN_REFUSALS = 64
-"""The same in a turn, so that a thousand requests at once do not delay a step."""
-MAX_EVENTS_PER_TURN = 128
-"""Events published per turn; spawning many robots makes more than fit between two steps."""
-MAX_DRAIN_NS = 10_000_000_000
-"""Longest time that the end of a server waits for requests that are not finished."""
-MAX_LAG_NS = 50_000_000
-"""Most that the loop catches up; beyond that the deadline moves."""
-
-
 class LoopClock(Protocol):
     """Wall time, and CPU time of the thread."""
 
@@ -381,10 +381,6 @@ class LoopClock(Protocol):
 
     def sleep(self, seconds: float) -> None:
         """Sleep for a wall time."""
-
-
-SavedLoop = tuple[DueTimes, TouchingSensors, SavedSessions]
-"""State of a `ServerLoop` beside its world."""
 
 
 def _make_authorization(

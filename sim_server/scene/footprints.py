@@ -19,6 +19,10 @@ CIRCLE_VERTICES = 16
 """Vertices of the polygon about a circle."""
 CONTACT_HEIGHT_M = 0.01
 """Parts up to this height above the lowest point touch the ground."""
+LARGE_ROUND_M = 0.3
+"""Radius above which spheres and capsules become polygons."""
+LARGE_CIRCLE_VERTICES = 32
+"""Vertices of the polygon of a large sphere or capsule."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +111,6 @@ def _planar_radius(hull: ConvexShape, pivot: FloatArray) -> float:
 def _contact_points(hull: ConvexShape) -> FloatArray:
     lowest = hull.points[:, 2] <= hull.points[:, 2].min() + CONTACT_HEIGHT_M
     return hull.points[lowest, :2]
-
-
-LARGE_ROUND_M = 0.3
-"""Radius above which spheres and capsules become polygons."""
-LARGE_CIRCLE_VERTICES = 32
-"""Vertices of the polygon of a large sphere or capsule."""
 
 
 @dataclass(frozen=True)

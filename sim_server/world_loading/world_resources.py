@@ -38,6 +38,11 @@ DEFAULT_MODEL_FILE = "model.sdf"
 
 FindFile = Callable[[str], Path | None]
 """Finds the file of a URI; None if there is none."""
+FolderNames = Callable[[Path], dict[str, str]]
+"""The names of the folders in a folder, by their normalized names."""
+MAX_WORLD_FILES = 4 * MAX_BUNDLE_FILES
+MAX_PARSE_ROUNDS = 20
+"""Rounds of reading: each may add models that include others, nested 16 deep."""
 
 
 def do_nothing() -> None:
@@ -114,10 +119,6 @@ def make_file_reader(
         return None if file is None else read_regular_file(file, MAX_FILE_BYTES, on_progress)
 
     return read
-
-
-FolderNames = Callable[[Path], dict[str, str]]
-"""The names of the folders in a folder, by their normalized names."""
 
 
 def _list_folders(folder: Path) -> dict[str, str]:
@@ -200,11 +201,6 @@ def _find_model_file(folder: Path) -> str:
 
 def _parse_version(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in text.split(".") if part.isdecimal())
-
-
-MAX_WORLD_FILES = 4 * MAX_BUNDLE_FILES
-MAX_PARSE_ROUNDS = 20
-"""Rounds of reading: each may add models that include others, nested 16 deep."""
 
 
 class SuppliedFile(NamedTuple):

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus, MemoryToken, MemoryTokenWatch
-from zensim.api.in_process_recorder import NewestOfWorld
+from zensim.api.in_process_recorder import newest_of
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import (
@@ -22,6 +22,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
 from zensim.proto.network_protocols import Sample
+from zensim.proto.newest_messages import NewestMessages
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, make_endpoint_token
 from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS
 from zensim.recording import recorder as recorder_module
@@ -391,8 +392,10 @@ def test_new_epoch_begins_a_file_and_an_older_time_does_not(bus: MemoryBus, make
 def test_messages_of_the_time_after_a_reset_are_in_its_file(
     bus: MemoryBus, make: Make, period_ns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def subscribe_newest(key: str, depth: int, keeps_all: Callable[[str], bool]) -> NewestOfWorld:
-        return NewestOfWorld(bus.subscribe(key, depth), keeps_all)
+    def subscribe_newest(
+        key: str, depth: int, keeps_all: Callable[[str], bool]
+    ) -> NewestMessages[Sample]:
+        return newest_of(bus.subscribe(key, depth), keeps_all)
 
     monkeypatch.setattr(bus, "subscribe_newest", subscribe_newest, raising=False)
     recorder, sink = make(period_ns=period_ns, topics=("r1/*", "clock", "sim/default/inputs"))

@@ -15,6 +15,7 @@ from zensim.proto.memory_bus import MemorySubscription, MemoryTokenWatch
 from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import Sample, Subscription
+from zensim.proto.newest_messages import NewestMessages
 from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.topic_catalog import CLOCK, LINK_STATES, MAP, MODEL_STATES
 from zensim.recording.entity_files import EntityFiles
@@ -148,9 +149,9 @@ class RecordedWorld:
 
     def subscribe_newest(
         self, key: str, depth: int, keeps_all: Callable[[str], bool]
-    ) -> "NewestOfWorld":
+    ) -> NewestMessages[Sample]:
         """See `Bus`."""
-        return NewestOfWorld(self.subscribe(key, depth), keeps_all)
+        return newest_of(self.subscribe(key, depth), keeps_all)
 
     def get(self, key: str, timeout_s: float = 1.0) -> list[Sample]:
         """Get the last messages of a key expression."""
@@ -191,33 +192,15 @@ class RecordedWorld:
         return key if root is None else root.key(self._server.world.name)
 
 
-class NewestOfWorld:
-    """The newest message of each key until it is taken, and all of some keys."""
+def newest_of(
+    subscription: Subscription, keeps_all: Callable[[str], bool]
+) -> NewestMessages[Sample]:
+    """Keep the newest message of each key of a subscription, and all of some keys."""
 
-    def __init__(self, subscription: Subscription, keeps_all: Callable[[str], bool]) -> None:
-        self._subscription = subscription
-        self._keeps_all = keeps_all
-        self._newest: dict[str, Sample] = {}
-        self._all: list[Sample] = []
+    def receive() -> list[tuple[str, Sample]]:
+        return [(one.key, one) for one in subscription.take()]
 
-    def collect(self) -> None:
-        """Take what is queued."""
-        for sample in self._subscription.take():
-            if self._keeps_all(sample.key):
-                self._all.append(sample)
-            else:
-                self._newest[sample.key] = sample
-
-    def take(self) -> list[Sample]:
-        """Take the newest message of each key, and all of the keys of which all are kept."""
-        self.collect()
-        kept = [*self._all, *self._newest.values()]
-        self._all, self._newest = [], {}
-        return kept
-
-    def close(self) -> None:
-        """End the subscription."""
-        self._subscription.close()
+    return NewestMessages(receive, list, subscription.close, keeps_all)
 
 
 def _rename(sample: Sample, key: str) -> Sample:

@@ -20,12 +20,7 @@ from zensim.proto.bus.bus_session import Bus
 from zensim.proto.cmd_vel_decoding import MIN_STAMPED_BYTES
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.message_times import choose_time, make_stamp_reader
-from zensim.proto.messages.standard_messages import (
-    Clock,
-    Twist,
-    TwistStamped,
-    time_from_ns,
-)
+from zensim.proto.messages.standard_messages import Clock, Twist, TwistStamped, time_from_ns
 from zensim.spawner.client.topic_reader import WantedTopics, read_topic
 
 if TYPE_CHECKING:
@@ -49,14 +44,15 @@ class TopicSource(Protocol):
     def take(self, now_ns: int) -> list[TimedPayload]:
         """Take what is new; time is the simulation's [ns]."""
 
-    def take_latched(self, now_ns: int) -> list[TimedPayload]:
+    def take_latched(self, now_ns: int) -> list[TimedPayload]:  # noqa: ARG002
         """Return what a new subscriber gets at once."""
+        return []
 
     def close(self) -> None:
         """End the subscriptions."""
 
 
-class MessageSource:
+class MessageSource(TopicSource):
     """Messages as they come, converted to CDR where a program published another format."""
 
     def __init__(self, bus: Bus, topic: LiveTopic, depth: int = DEPTH) -> None:
@@ -77,10 +73,6 @@ class MessageSource:
             for payload in subscription.take_payloads()
             if (cdr := to_cdr(self._kind, payload)) is not None
         ]
-
-    def take_latched(self, now_ns: int) -> list[TimedPayload]:  # noqa: ARG002
-        """See `TopicSource`."""
-        return []
 
     def close(self) -> None:
         """See `TopicSource`."""
@@ -201,7 +193,7 @@ class RobotTransforms:
         self._own.follow({one: f"{one}/{self._suffix}" for one in wanted})
 
 
-class TransformSource:
+class TransformSource(TopicSource):
     """The transforms of all robots in one message."""
 
     def __init__(self, bus: Bus, topic: LiveTopic, facts: WorldFacts) -> None:
@@ -211,10 +203,6 @@ class TransformSource:
         """See `TopicSource`."""
         found = self._transforms.take()
         return [(now_ns, join_transforms(found))] if found else []
-
-    def take_latched(self, now_ns: int) -> list[TimedPayload]:  # noqa: ARG002
-        """See `TopicSource`."""
-        return []
 
     def close(self) -> None:
         """See `TopicSource`."""
@@ -270,7 +258,7 @@ def _join_static(transforms: list[Transform]) -> bytes:
     return join_transforms([(b"\0" * STAMP_BYTES + frames, one) for frames, one in transforms])
 
 
-class JsonSource:
+class JsonSource(TopicSource):
     """Messages of the world as JSON."""
 
     def __init__(self, bus: Bus, topic: LiveTopic) -> None:
@@ -280,10 +268,6 @@ class JsonSource:
         """See `TopicSource`."""
         messages = (message for one in self._readers for message in one.take())
         return [(now_ns, encode(message, Format.JSON)) for message in messages]
-
-    def take_latched(self, now_ns: int) -> list[TimedPayload]:  # noqa: ARG002
-        """See `TopicSource`."""
-        return []
 
     def close(self) -> None:
         """See `TopicSource`."""

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterable
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from typing import Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import msgspec
 
@@ -14,7 +14,8 @@ from zensim.proto.message_times import choose_time, count_missing
 from zensim.proto.messages.input_messages import Inputs, ServiceRequest
 from zensim.proto.messages.standard_messages import Clock, String, ns_from_time
 from zensim.proto.messages.telemetry_messages import Event, WorldClock
-from zensim.proto.network_protocols import Closable, Sample, Subscription, TokenWatch
+from zensim.proto.network_protocols import Sample, Subscription, TokenWatch
+from zensim.proto.newest_messages import NewestMessages
 from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, parse_endpoint_token
 from zensim.proto.service_catalog import SIMULATE_STEPS
 from zensim.proto.topic_catalog import CLOCK, EVENTS, INPUTS, TF, TopicSpec
@@ -80,16 +81,6 @@ class MessageSink(Protocol):
         """Take an event of the world."""
 
 
-class NewestMessages(Closable, Protocol):
-    """Subscription that keeps the newest message of each key."""
-
-    def take(self) -> list[Sample]:
-        """Take the newest message of each key, and all of the keys of which all are kept."""
-
-    def collect(self) -> None:
-        """Take what is queued, so that the queue does not fill."""
-
-
 class MessageNetwork(Protocol):
     """Where a recorder subscribes: the network, or the world of this process."""
 
@@ -98,7 +89,7 @@ class MessageNetwork(Protocol):
 
     def subscribe_newest(
         self, key: str, depth: int, keeps_all: Callable[[str], bool]
-    ) -> NewestMessages:
+    ) -> NewestMessages[Any]:
         """Subscribe to the newest message of each key, and to all of some keys."""
 
     def expect_key(self, key: str) -> None:
@@ -133,8 +124,8 @@ class RecordedKeys(msgspec.Struct, frozen=True, eq=False):
     """Subscription on a key expression."""
 
     key: str
-    subscription: Subscription | NewestMessages
-    newest: NewestMessages | None
+    subscription: Subscription | NewestMessages[Any]
+    newest: NewestMessages[Any] | None
     """The subscription, if messages are thinned."""
     is_of_ros: bool
 

@@ -5,7 +5,9 @@ from typing import Annotated
 import msgspec
 
 from zensim.scenario.quantities import described, quantity
-from zensim.scenario.setting_sections import Name, Selected
+from zensim.scenario.setting_sections import Name, Selector
+
+Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
 
 
 class NearCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

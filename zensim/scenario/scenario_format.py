@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from zensim.scenario.fault_sections import Fault
+from zensim.scenario.fault_sections import Fault, Selected
 from zensim.scenario.quantities import described, quantity
 from zensim.scenario.setting_sections import (
     AgentsSection,
@@ -16,7 +16,6 @@ from zensim.scenario.setting_sections import (
     Name,
     NetworkSection,
     RosSection,
-    Selected,
     SensorsSection,
     TimeSection,
     ViewerSection,

@@ -19,7 +19,6 @@ Name = Annotated[
 ]
 Selector = str | tuple[str, ...]
 """Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
-Selected = Annotated[Selector, described("Robots: name, `cart*`, `cart[1-4]`, or a list of them.")]
 MAX_INTEGER: Final = (1 << 63) - 1
 """Greatest limit of an integer in JSON Schema as msgspec writes it."""
 

@@ -43,11 +43,12 @@ MAX_PARKED_BODIES = 64
 PARKING_DEPTH_M = 1e4
 """Depth of pooled bodies below the world."""
 PARKING_SPACING_M = 100.0
-
-
 MotorNames = tuple[tuple[str, str], ...]
 BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool, bool, tuple[str, ...], MotorNames]
 """What a Bullet body depends on; topics and namespaces do not count, nor do efforts."""
+MOMENT_ROUNDING = 1e-6
+"""Share by which the largest moment stays below the sum of the others."""
+COLLISION_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 
 
 @dataclass(frozen=True)
@@ -126,10 +127,6 @@ class BulletBody:
     def with_model(self, model: Model) -> "BulletBody":
         """Use the body for another model that is built alike."""
         return replace(self, model=model, actuation=make_actuation(model).renumbered(self.joints))
-
-
-MOMENT_ROUNDING = 1e-6
-"""Share by which the largest moment stays below the sum of the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,9 +398,6 @@ def limit_joint_dampings(
     mobilities = find_joint_mobilities(blueprint.parts, is_static=blueprint.is_static)
     for number, joint in damped:
         yield number, joint.damping / (1.0 + joint.damping * dt_s * mobilities[joint.name])
-
-
-COLLISION_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 
 
 def make_collision_shape_arguments(

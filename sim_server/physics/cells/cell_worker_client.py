@@ -27,6 +27,13 @@ from zensim.sim_server.physics.engine import (
 
 MAX_NUMBERS = 1 << 23
 """Capacity of a shared array; pages that are never written take no memory."""
+Kind = TypeVar("Kind")
+CellTargetLayout = tuple[int, tuple[Sequence[int], int]]
+"""Number of a cell, its bodies, and the number of their targets."""
+WORKER_MODULE = "zensim.sim_server.physics.cell_worker"
+MAX_QUEUED_CALLS = 32
+"""Calls that are sent together, unless a reply is needed before."""
+MAX_QUICK_LINKS = 8
 
 
 class SharedArray:
@@ -67,15 +74,6 @@ def make_shared_array() -> SharedArray:
     descriptor = os.memfd_create("zensim", os.MFD_CLOEXEC)
     os.ftruncate(descriptor, 8 * MAX_NUMBERS)
     return SharedArray(descriptor)
-
-
-Kind = TypeVar("Kind")
-CellTargetLayout = tuple[int, tuple[Sequence[int], int]]
-"""Number of a cell, its bodies, and the number of their targets."""
-
-WORKER_MODULE = "zensim.sim_server.physics.cell_worker"
-MAX_QUEUED_CALLS = 32
-"""Calls that are sent together, unless a reply is needed before."""
 
 
 class CellWorkerDied(EngineLost):
@@ -395,9 +393,6 @@ class RemoteCell(Engine):
         self.worker.cells -= 1
         with suppress(CellWorkerDied):
             self.worker.send("close", self.cell)
-
-
-MAX_QUICK_LINKS = 8
 
 
 def _is_quickly_added(model: Model) -> bool:

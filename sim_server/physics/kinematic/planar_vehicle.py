@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Dynamics
     from zensim.sim_server.physics.engine_config import EngineConfig
 
-
-def make_mesh_reader(folder: str) -> MeshTriangles:
-    """Make a reader of the meshes in a folder."""
-    return partial(_read_mesh, folder)
-
-
-def _read_mesh(folder: str, mesh: str) -> FloatArray:
-    return read_corners(Path(folder, f"{mesh}.stl").read_bytes()).astype(np.float64)
-
-
 ROUND_KINDS = ("sphere", "cylinder", "capsule")
 DRIVEN_WEIGHT_SHARE = 0.5
 """Assumed share of the weight on driven wheels; it bounds their traction."""
@@ -47,6 +37,16 @@ TIPPING_RATIO = 0.8
 MIN_LENGTH_M = 1e-4
 ROLLING_TOLERANCE = 1e-4
 """Difference [m/s, rad/s] from the predicted motion up to which wheels count as rolling."""
+MAX_CACHED_PLANS = 256
+
+
+def make_mesh_reader(folder: str) -> MeshTriangles:
+    """Make a reader of the meshes in a folder."""
+    return partial(_read_mesh, folder)
+
+
+def _read_mesh(folder: str, mesh: str) -> FloatArray:
+    return read_corners(Path(folder, f"{mesh}.stl").read_bytes()).astype(np.float64)
 
 
 class NotPlanar(ValueError):
@@ -361,8 +361,6 @@ def _find_tipping_limits(model: Model, footprint: Footprint, gravity: float) -> 
     share = TIPPING_RATIO * gravity / height
     return share * ahead, share * aside
 
-
-MAX_CACHED_PLANS = 256
 
 PlanarPlan = tuple[PlanarVehicle, Footprint]
 

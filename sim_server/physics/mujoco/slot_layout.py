@@ -14,6 +14,10 @@ from zensim.sim_server.physics.blueprint import Blueprint, RigidPart
 ROOT_QPOS_COUNT, ROOT_QVEL_COUNT = 7, 6
 """Numbers of a free root: position, quaternion wxyz; linear in the world, angular in the root."""
 NO_INDEX = -1
+IndexArray = npt.NDArray[np.intp]
+FREE_SLOT = None
+MAX_UNUSED_ARCHETYPES = 16
+"""Archetypes without bodies whose slots are kept; compiling takes longer with each."""
 
 
 @dataclass(frozen=True)
@@ -187,9 +191,6 @@ def list_mimic_links(archetype: Archetype) -> list[int]:
     ]
 
 
-IndexArray = npt.NDArray[np.intp]
-
-
 @dataclass(frozen=True)
 class SlotAddress:
     """Indexes of a slot in a compiled model."""
@@ -247,9 +248,6 @@ class SlotAddress:
 
 SlotCounts = tuple[tuple[Archetype, int], ...]
 """Archetypes in the order of their first body, each with its number of slots."""
-FREE_SLOT = None
-MAX_UNUSED_ARCHETYPES = 16
-"""Archetypes without bodies whose slots are kept; compiling takes longer with each."""
 
 
 def round_up_slots(count: int) -> int:

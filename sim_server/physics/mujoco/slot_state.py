@@ -15,6 +15,17 @@ from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray, S
 
 POSITION_ERP = 0.1
 """Share of its error that a position motor corrects in a step; Bullet's default."""
+MAX_STATE_VALUE = 1e9
+"""Larger values count as diverged; MuJoCo fails from 1e10 on."""
+MjInts = npt.NDArray[np.int32]
+SLEEP_FLAG = 1 << 4
+"""`mjtEnableBit`."""
+AWAKE_TREE = -11
+"""Value of `tree_asleep`: awake, and not still in any of the last ten steps."""
+NEVER_SLEEPS, MAY_SLEEP = 3, 4
+"""`mjtSleepPolicy`."""
+STATIC_BODY, SLEEPING_BODY, AWAKE_BODY = -1, 0, 1
+"""`mjtSleepState`."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +75,6 @@ def make_zero_targets(count: int) -> ActuatorTargets:
         np.zeros(count, dtype=np.bool_),
         *(np.zeros(count) for _ in range(3)),
     )
-
-
-MAX_STATE_VALUE = 1e9
-"""Larger values count as diverged; MuJoCo fails from 1e10 on."""
-
-MjInts = npt.NDArray[np.int32]
 
 
 class MjModelArrays(Protocol):
@@ -218,16 +223,6 @@ def copy_slot_states(
 
 def _join_slot_indexes(indexes: Sequence[IndexArray]) -> IndexArray:
     return np.concatenate([np.zeros(0, np.intp), *indexes])
-
-
-SLEEP_FLAG = 1 << 4
-"""`mjtEnableBit`."""
-AWAKE_TREE = -11
-"""Value of `tree_asleep`: awake, and not still in any of the last ten steps."""
-NEVER_SLEEPS, MAY_SLEEP = 3, 4
-"""`mjtSleepPolicy`."""
-STATIC_BODY, SLEEPING_BODY, AWAKE_BODY = -1, 0, 1
-"""`mjtSleepState`."""
 
 
 class MjTrees(Protocol):
