@@ -4,7 +4,8 @@ The process of `zensim view` beside a server whose robots drive circles in real 
 robots with `--dynamics auto --step-hz 100`, as PyBullet is too slow for that with full dynamics.
 Visitors are programs that read all that a browser would get, on the same cores. CPU and bytes are
 those of each second, of the page's process and of one visitor. The search is what a visitor does:
-press a row of the list, and see the camera move.
+press a row of the list, and see the camera move. The browser is Chromium with WebGL in software, on
+the same cores; its first visit is that of a new profile.
 """
 
 import time
@@ -16,6 +17,7 @@ from typing import TypeVar
 import msgspec
 import psutil
 
+from benchmarks.drawn_page import measure_drawing
 from benchmarks.figures import Figure, table
 from benchmarks.fleet_server import PATIENCE_S, FleetServer, program, run_fleet_server
 from benchmarks.machine import used_s
@@ -28,7 +30,7 @@ __all__ = ["rows", "table"]
 
 SECONDS, SECONDS_WHEN_SHORT = 20, 1
 WARM_UP_S, WARM_UP_WHEN_SHORT_S = 5.0, 0.0
-FLEETS, FLEETS_WHEN_SHORT = (100, 1000), (3,)
+FLEETS, FLEETS_WHEN_SHORT = (10, 100, 1000), (3,)
 MANY = 1000
 """Robots from which on a fleet is large."""
 OF_MANY = ("--dynamics", "auto", "--step-hz", "100")
@@ -105,6 +107,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             yield from _measure_driving(page)
             yield _read_factor(page, server)
             yield from _measure_search(page)
+            yield from measure_drawing(url, robots, is_short=is_short)
 
 
 def _choose_options(robots: int) -> tuple[str, ...]:

@@ -241,6 +241,7 @@ function findInstances(page, path) {
 
 function stick() {
   requestAnimationFrame(stick);
+  undrawn += 1;
   const page = window.__viserMutable;
   if (!page || !page.camera) return;
   if (page.scene && page.scene !== scene) watch(page.scene);
@@ -256,6 +257,82 @@ function stick() {
   }
 }
 
+// ---- Level of detail: far parts are boxes, then nothing; the largest part of a robot stays.
+
+// Radius of a part [px] from which on it is drawn as a box, and not at all; with a graphics card, and
+// without, where each triangle of a fleet takes about a microsecond.
+const FAR_PX = {card: [3, 0.6], software: [6, 1.5]}, BOX_TRIANGLES = 12;
+const BOX_INDEX = [
+  ...[0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4],
+  ...[2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5],
+];
+const levelled = new WeakSet();
+let partCounts = {};
+
+function addFarLevels() {
+  const page = window.__viserMutable, models = {}, counts = {};
+  if (!page || !page.camera || !page.canvas) return;
+  for (const path of Object.keys(page.nodeRefFromName)) {
+    const [, model] = path.match(/^(\/robots\/\d+)\//) || [];
+    const mesh = model && findInstances(page, path);
+    if (mesh) (models[model] ||= new Set()).add(mesh);
+  }
+  for (const [model, parts] of Object.entries(models)) {
+    counts[model] = parts.size;
+    if (counts[model] === partCounts[model]) addLevelsOf([...parts], page);  // no part is missing
+  }
+  partCounts = counts;
+}
+
+function addLevelsOf(parts, page) {
+  if (parts.every((part) => levelled.has(part))) return;
+  for (const {geometry} of parts) if (!geometry.boundingSphere) geometry.computeBoundingSphere();
+  const radius = (part) => part.geometry.boundingSphere.radius;
+  const largest = Math.max(...parts.map(radius));
+  // Pixels of a length at a distance of the same length.
+  const pixels = page.canvas.clientHeight / 2 / Math.tan(page.camera.fov * Math.PI / 360);
+  const [boxPx, leastPx] = FAR_PX[isReduced() ? "software" : "card"];
+  for (const part of parts.filter((one) => !levelled.has(one))) {
+    levelled.add(part);
+    const {geometry, material} = part, far = radius(part) * pixels;
+    const isDetailed = geometry.index && geometry.index.count > 3 * BOX_TRIANGLES;
+    if (isDetailed && !material.map && !Array.isArray(material)) {
+      addLevel(part, makeBoxAround(geometry), far / boxPx);
+    }
+    if (radius(part) < largest) {
+      addLevel(part, makeGeometry(geometry, [0, 0, 0], []), far / leastPx).visible = false;
+    }
+  }
+}
+
+function addLevel(part, geometry, distance) {
+  const {material} = part;
+  const own = Array.isArray(material) ? material.map((one) => one.clone()) : material.clone();
+  part.addLOD(geometry, own, distance);
+  part.geometry.addEventListener("dispose", () => {
+    geometry.dispose();
+    [own].flat().forEach((one) => one.dispose());
+  });
+  return part.LODinfo.objects.at(-1);
+}
+
+function makeBoxAround(geometry) {
+  geometry.computeBoundingBox();
+  const {min, max} = geometry.boundingBox, corners = [];
+  for (const z of [min.z, max.z]) for (const y of [min.y, max.y]) for (const x of [min.x, max.x]) {
+    corners.push(x, y, z);
+  }
+  return makeGeometry(geometry, corners, BOX_INDEX);
+}
+
+function makeGeometry(like, corners, index) {
+  const made = new like.constructor(), Attribute = like.attributes.position.constructor;
+  made.setAttribute("position", new Attribute(new Float32Array(corners), 3));
+  made.setIndex(index);
+  made.computeVertexNormals();
+  return made;
+}
+
 // ---- Software WebGL: what a processor draws slowly is left out while something moves.
 // An address with fixedDpr asks for the whole picture.
 
@@ -263,10 +340,11 @@ const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const NOTICE = "Software WebGL rendering detected";
 const LEAST_DPR = 0.5, DPR_STEP = 0.1, WINDOW_MS = 1000, SLOW_HZ = 24, FAST_HZ = 40;
 // viser draws for 250 ms after each change: still scenes have gaps, then one sharp picture.
-const GAP_MS = 400, MOVING_MS = 600, NOTICE_MS = 5000;
+// A slow browser takes long for each frame, but draws in each.
+const GAP_MS = 400, GAP_FRAMES = 3, MOVING_MS = 600, NOTICE_MS = 5000;
 const getContext = HTMLCanvasElement.prototype.getContext;
-let scene = null, renderer = null, asked = 1, moving = 0.6, limit = 1;
-let began = 0, last = 0, frames = 0, windowAt = 0, noticedAt = 0, isSlow;
+let scene = null, renderer = null, asked = 1, moving = 0.6, limit = moving;
+let began = 0, last = 0, frames = 0, undrawn = 0, windowAt = 0, noticedAt = 0, isSlow;
 
 // Whether the processor draws in place of a graphics card.
 function isSoftware() {
@@ -301,19 +379,22 @@ function reduce(gl) {
     asked = gl.getPixelRatio();
     const set = gl.setPixelRatio.bind(gl);
     gl.setPixelRatio = (ratio) => { asked = ratio; set(Math.min(ratio, limit)); };
+    requestAnimationFrame(() => gl.setPixelRatio(asked));  // not within a frame
     scene.traverse(({material}) => { if (material) material.needsUpdate = true; });
   }
   gl.shadowMap.enabled = false;  // viser sets it with each size of the window
   const now = performance.now();
-  if (now - last > GAP_MS) [began, windowAt, frames] = [now, now, 0];
-  [last, frames] = [now, frames + 1];
+  if (isStill(now)) [began, windowAt, frames] = [now, now, 0];
+  [last, frames, undrawn] = [now, frames + 1, 0];
 }
+
+const isStill = (now) => now - last > GAP_MS && undrawn > GAP_FRAMES;
 
 // Called periodically: draws coarsely while something moves, and sharply once nothing does.
 function chooseDpr() {
   if (!renderer) return;
   const now = performance.now();
-  if (now - last > GAP_MS) return setLimit(1);
+  if (isStill(now)) return setLimit(1);
   if (now - began < MOVING_MS) return;
   if (now - windowAt > WINDOW_MS) {
     const hz = 1000 * frames / (now - windowAt);
@@ -351,6 +432,7 @@ function refresh() {
   }
   places("head").forEach(showHead);
   centreAboveSheet();
+  addFarLevels();
   chooseDpr();
   closeNotice();
 }
