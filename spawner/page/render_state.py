@@ -375,13 +375,14 @@ def is_moving(state: Array) -> bool:
     )
 
 
-def format_pose(state: Array) -> tuple[str, str]:
-    """Format a base state (STATE_COLUMNS,) as pose, and as speed."""
+def format_state(state: Array) -> tuple[str, str, str]:
+    """Format position, heading and speed of a base state (STATE_COLUMNS,)."""
     # Adding 0.0 removes the sign of -0.0.
     x, y, z, speed, turn = np.round((*state[:3], np.linalg.norm(state[7:9]), state[12]), 2) + 0.0
     yaw = np.round(np.degrees(to_yaw(state[3:7]))) + 0.0
     return (
-        f"x {x:.2f}  y {y:.2f}  z {z:.2f} m  yaw {yaw:.0f}°",
+        f"x {x:.2f}  y {y:.2f}  z {z:.2f} m",
+        f"{yaw:.0f}°",
         f"{speed:.2f} m/s  {turn:.2f} rad/s",
     )
 

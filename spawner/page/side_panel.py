@@ -13,7 +13,7 @@ from zensim.spawner.page.model_visuals import Array
 from zensim.spawner.page.render_state import (
     LastCommand,
     SimulationStatus,
-    format_pose,
+    format_state,
     is_moving,
 )
 from zensim.spawner.page.script_messages import HeadOrder
@@ -100,14 +100,16 @@ def make_robot_html(
     command: LastCommand | None,
     vehicle: VehicleStatus | None = None,
 ) -> str:
-    """Format namespace, pose, speed of a robot, what commands it, and its order, if it has one."""
-    pose, speed = format_pose(state)
+    """Format namespace, place, speed of a robot, what commands it, and its order, if it has one."""
+    position, heading, speed = format_state(state)
+    order = vehicle.order if vehicle is not None else ""
     return _make_table(
         [
             ("Namespace", to_html(member.namespace)),
-            ("Pose", pose),
+            ("Position", position),
+            ("Heading", heading),
             ("Speed", speed),
-            ("Commanded by", format_command(command, moves=is_moving(state))),
+            ("Commanded by", format_command(command, moves=is_moving(state), order=order)),
             *(_list_vehicle_rows(vehicle) if vehicle is not None else ()),
         ]
     )
@@ -127,15 +129,17 @@ def _list_vehicle_rows(vehicle: VehicleStatus) -> PanelRows:
     return rows
 
 
-def format_command(command: LastCommand | None, *, moves: bool = False) -> str:
+def format_command(command: LastCommand | None, *, moves: bool = False, order: str = "") -> str:
     """Format the last velocity command, with its age if that exceeds `STALE_S`.
 
     Args:
         command: Of its `cmd_vel`; None if there was none. Orders of clients need none.
         moves: Whether the robot does.
+        order: Of a fleet manager; empty if there is none.
     """
     if command is None:
-        return "an order of a client, without cmd_vel" if moves else "nothing"
+        by = f"order {to_html(order)}" if order else "a client, without cmd_vel"
+        return by if moves else "nothing"
     text = f"cmd_vel  v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
     return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
 

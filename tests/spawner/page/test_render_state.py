@@ -21,7 +21,7 @@ from zensim.spawner.page.render_state import (
     View,
     choose_view,
     fit_camera,
-    format_pose,
+    format_state,
     make_fleet,
     make_frame,
 )
@@ -150,14 +150,14 @@ def project(points: np.ndarray, position: np.ndarray, look_at: np.ndarray) -> np
 def test_pose_is_formatted_in_metres_and_degrees() -> None:
     state = np.array((1.0, -2.0, 0.06, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.3, 0.4, 0, 0, 0, 1))
 
-    assert format_pose(state) == ("x 1.00  y -2.00  z 0.06 m  yaw 90°", "0.50 m/s  1.00 rad/s")
+    assert format_state(state) == ("x 1.00  y -2.00  z 0.06 m", "90°", "0.50 m/s  1.00 rad/s")
 
 
 def test_pose_and_speed_have_no_negative_zeros() -> None:
     state = np.full(13, -0.001)
     state[3:7] = (0.0, 0.0, -0.001, 1.0)
 
-    assert format_pose(state) == ("x 0.00  y 0.00  z 0.00 m  yaw 0°", "0.00 m/s  0.00 rad/s")
+    assert format_state(state) == ("x 0.00  y 0.00  z 0.00 m", "0°", "0.00 m/s  0.00 rad/s")
 
 
 def test_lights_of_links_move_with_them() -> None:

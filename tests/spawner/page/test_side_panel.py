@@ -96,11 +96,14 @@ def test_old_command_is_shown_with_its_age(command: LastCommand | None, text: st
 
 
 @pytest.mark.parametrize("column", [7, 12])
-def test_robot_that_moves_without_cmd_vel_is_ordered_by_a_client(column: int) -> None:
+def test_robot_that_moves_without_cmd_vel_is_commanded_by_an_order_or_a_client(column: int) -> None:
     state = REST.copy()
     state[column] = 0.3
 
-    assert "an order of a client" in make_robot_html(EntityModel("r1", "r1", 0), state, None)
+    vehicle = VehicleStatus("r1", "o<7>", "driving", "n1", "n4", 81.6)
+
+    assert "a client" in make_robot_html(EntityModel("r1", "r1", 0), state, None)
+    assert "order o&lt;7&gt;" in make_robot_html(EntityModel("r1", "r1", 0), state, None, vehicle)
 
 
 @pytest.mark.parametrize("count", [0, 3])
