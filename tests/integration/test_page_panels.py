@@ -758,6 +758,7 @@ def test_a_world_runs_to_one_time_at_a_time_for_all_visitors(acting: Visit) -> N
     acting.press("Run to this time")
     acting.until(list_runs, "a run")
     with joining(acting) as (_, other):
+        acting.until(lambda: "Run to this time" in other.labels(), "its tab")
         other.set("Run to this time", value=True)
         acting.until(lambda: other.was_notified("another visitor runs the world"), "a refusal")
         acting.until(lambda: "Running to 20 s, for another visitor" in other.texts(), "its text")

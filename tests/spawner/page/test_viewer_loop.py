@@ -15,7 +15,7 @@ from tests.spawner.page.builders import (
     make_sensing_robot,
     make_snapshot,
 )
-from zensim.proto import topic_catalog
+from zensim.proto import memory_bus, topic_catalog
 from zensim.proto.codec.message_codec import Format
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.sensing_messages import Contacts
@@ -278,7 +278,8 @@ def test_calls_that_a_slow_server_delays_are_dropped_with_a_warning() -> None:
     assert setup.server.count(StepSimulationRequest) == 2
 
 
-def test_viewer_warns_without_a_reply() -> None:
+def test_viewer_warns_without_a_reply(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory_bus, "MAX_PUMP_S", 0.0)  # of each of the seven calls
     setup = Setup()
     setup.server.is_silent = True
 
