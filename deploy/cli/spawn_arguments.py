@@ -68,15 +68,14 @@ DynamicsOption = Annotated[
         show_default="that of the world",
     ),
 ]
-LayoutOption = Annotated[
-    str,
-    typer.Option(
-        "--layout",
-        metavar="row|grid|circle",
-        help="Arrangement of the robots.",
-        autocompletion=complete_layouts,
-    ),
-]
+layout_option = partial(
+    typer.Option,
+    "--layout",
+    metavar="row|grid|circle",
+    help="Arrangement of the robots.",
+    autocompletion=complete_layouts,
+)
+LayoutOption = Annotated[str, layout_option()]
 SpacingOption = Annotated[
     float,
     typer.Option("--spacing", metavar="METRES", help=r"Distance between neighbours \[m]."),

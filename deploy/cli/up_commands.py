@@ -38,8 +38,8 @@ from zensim.deploy.cli.serve_commands import ServeOptions, print_users
 from zensim.deploy.cli.spawn_arguments import (
     ControllersOption,
     DriveOption,
-    LayoutOption,
     SpacingOption,
+    layout_option,
     make_placements,
 )
 from zensim.deploy.cli.view_commands import MissingViewerExtra, check_page
@@ -93,6 +93,7 @@ app = make_app()
 
 console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], "UpDriver"]
+MOST_IN_ROW = 20  # robots that one picture shows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ class UpOptions(RosTfOptions, ServeOptions):
     ] = "box_bot"
     controllers: ControllersOption = None
     drive: DriveOption = ""
-    layout: LayoutOption = "row"
+    layout: Annotated[str, layout_option(show_default=f"row; grid above {MOST_IN_ROW} robots")] = ""
     spacing: SpacingOption = 1.0
     duration: Annotated[
         float,
@@ -145,7 +146,7 @@ class UpOptions(RosTfOptions, ServeOptions):
     epilog="""Examples:
   zensim up
   zensim up first_minutes
-  zensim up --robots 100 --agents pooled --layout grid --no-viewer
+  zensim up --robots 100 --agents pooled --no-viewer
   zensim up --model robot.urdf --world warehouse --rtf 0 --duration 60"""
 )
 def up(context: typer.Context, given: UpOptions) -> None:
@@ -412,10 +413,10 @@ def _run_until_stopped(
 
 
 def _make_placements(given: UpOptions) -> tuple[RobotPlacement, ...]:
-    parse_choice("--layout", given.layout, LAYOUTS)
-    if not given.robots:
-        return ()
-    return tuple(make_placements(given.model, given.robots, given.layout, given.spacing))
+    layout = given.layout or ("row" if given.robots <= MOST_IN_ROW else "grid")
+    parse_choice("--layout", layout, LAYOUTS)
+    made = make_placements(given.model, given.robots, layout, given.spacing) if given.robots else ()
+    return tuple(made)
 
 
 def _choose_agents(given: UpOptions) -> LaunchAgentsConfig:

@@ -88,3 +88,13 @@ def test_defaults_of_the_server_are_left_out() -> None:
     assert [word for word in words if word.startswith("--")] == [
         *("--announce", "--listen", "--world-name", "--world", "--ros-domain"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("robots", "layout", "width_m"), [(20, "", 0), (21, "", 4), (21, "row", 0)]
+)
+def test_robots_stand_in_a_row_unless_they_are_many(robots: int, layout: str, width_m: int) -> None:
+    places = make_config(UpOptions(robots=robots, layout=layout)).placements
+
+    assert len(places) == robots
+    assert max(place.y for place in places) - min(place.y for place in places) == width_m
