@@ -3,8 +3,8 @@
 A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
 other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it
 swivels. A sphere of the same radius rolls the same way and touches at one point. A round mesh is a
-polygon, on which a robot hops; it becomes a sphere too. Where the twist is applied to the body,
-friction is removed.
+polygon, on which a robot hops; it becomes a sphere too, or a cylinder if its tread is wider than
+the diameter. Where the twist is applied to the body, friction is removed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.model_messages import ZERO, Joint, Link, Model, Origin, Shape, Vec3
-from zensim.proto.rigid_transforms import compose, cross, normalize, rotate
+from zensim.proto.rigid_transforms import compose, cross, from_directions, normalize, rotate
 from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     FindCorners,
@@ -61,7 +61,7 @@ def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Li
         return tuple(_without_friction(link) for link in model.links)
     axles = _find_axles(drive, model.links, model.joints, corners)
     return tuple(
-        _with_sphere_wheels(link, axles[link.name], corners) if link.name in axles else link
+        _with_round_wheels(link, axles[link.name], corners) if link.name in axles else link
         for link in model.links
     )
 
@@ -115,18 +115,18 @@ def describe_mesh_wheels(model: Model, corners: FindCorners) -> list[str]:
         return []
     axles = _find_axles(model.drive, model.links, model.joints, corners)
     return [
-        f"mesh of {link.name!r} is round: it touches the ground as a sphere of its largest "
-        f"radius, {sphere.size[0]:.4g} m"
+        f"mesh of {link.name!r} is round: it touches the ground as a {wheel.kind} of its largest "
+        f"radius, {wheel.size[0]:.4g} m"
         for link in model.links
         if link.name in axles
         for shape in link.collisions
         if shape.kind == "mesh"
-        and (sphere := find_wheel_sphere(shape, axles[link.name], corners)) is not None
+        and (wheel := find_round_wheel(shape, axles[link.name], corners)) is not None
     ]
 
 
-def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHES) -> Shape | None:
-    """Find the sphere that rolls like a wheel's collision; None if that is not a round wheel.
+def find_round_wheel(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHES) -> Shape | None:
+    """Find the sphere or cylinder that rolls like a wheel's collision; None if it is not round.
 
     Args:
         shape: Of the child link of `axle`.
@@ -134,7 +134,7 @@ def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHE
         corners: Needed for meshes.
     """
     if is_wheel_cylinder(shape, axle):
-        return _make_sphere(shape, shape.size[0], shape.origin.position)
+        return _make_wheel(shape, axle, shape.size[0], 0.0, shape.origin.position)
     if shape.kind != "mesh":
         return None
     import numpy as np
@@ -144,7 +144,7 @@ def find_wheel_sphere(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHE
     scaled = np.asarray(corners(shape.mesh), np.float64) * np.array(shape.size)
     points = transform_points(from_origin(shape.origin), scaled)
     tread = _find_tread(points, np.array(normalize(axle.axis))) if len(points) else None
-    return None if tread is None else _make_sphere(shape, *tread)
+    return None if tread is None else _make_wheel(shape, axle, *tread)
 
 
 def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
@@ -156,8 +156,7 @@ def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
     along = rotate(shape.origin.orientation, (0.0, 0.0, 1.0))
     if abs(_dot(along, axis)) < MIN_AXLE_COS:
         return False
-    centre = shape.origin.position
-    return math.hypot(*cross(centre, axis)) <= MAX_AXLE_OFFSET * radius
+    return math.hypot(*cross(shape.origin.position, axis)) <= MAX_AXLE_OFFSET * radius
 
 
 def _dot(first: Vec3, second: Vec3) -> float:
@@ -166,10 +165,10 @@ def _dot(first: Vec3, second: Vec3) -> float:
 
 def _find_tread(
     points: npt.NDArray[np.float64], axis: npt.NDArray[np.float64]
-) -> tuple[float, Vec3] | None:
-    """Find the largest radius about an axis, and the middle of the corners that reach it.
+) -> tuple[float, float, Vec3] | None:
+    """Find the largest radius about an axis, the width if it is a roller, and its middle.
 
-    None if they leave a gap in the circle, or if the wheel is too wide.
+    None if the corners that reach that radius leave a gap in the circle, or are few of a wide mesh.
     """
     import numpy as np
 
@@ -177,21 +176,24 @@ def _find_tread(
     spokes = points - along[:, None] * axis
     radii = np.linalg.norm(spokes, axis=1)
     radius = float(radii.max())
-    if np.ptp(along) >= MAX_WHEEL_WIDTH * radius:
-        return None
     is_tread = radii >= MIN_TREAD_SHARE * radius
+    is_roller = np.ptp(along) >= MAX_WHEEL_WIDTH * radius
+    width = float(np.ptp(along[is_tread])) if is_roller else 0.0
+    if is_roller and width < MAX_WHEEL_WIDTH * radius:
+        return None
     first = spokes[is_tread][0]
     turns = np.arctan2(spokes[is_tread] @ np.cross(axis, first), spokes[is_tread] @ first)
     if np.diff(np.sort(turns), append=turns.min() + math.tau).max() > MAX_TREAD_GAP_RAD:
         return None
     x, y, z = (axis * (along[is_tread].min() + along[is_tread].max()) / 2.0).tolist()
-    return radius, (x, y, z)
+    return radius, width, (x, y, z)
 
 
-def _make_sphere(shape: Shape, radius: float, centre: Vec3) -> Shape:
-    return msgspec.structs.replace(
-        shape, kind="sphere", size=(radius, 0.0, 0.0), origin=Origin(centre), mesh=""
-    )
+def _make_wheel(shape: Shape, axle: Joint, radius: float, width: float, centre: Vec3) -> Shape:
+    up = (0.0, 0.0, 1.0)
+    origin = Origin(centre, from_directions(up, normalize(axle.axis) if width else up))
+    kind, size = "cylinder" if width else "sphere", (radius, width, 0.0)
+    return msgspec.structs.replace(shape, kind=kind, size=size, origin=origin, mesh="")
 
 
 def _is_driven_by_twist(drive: Drive) -> bool:
@@ -236,21 +238,18 @@ def _list_wheel_bottoms(
     for shape in link.collisions:
         if corners is None and shape.kind == "mesh":
             continue
-        if (sphere := find_wheel_sphere(shape, axle, corners or NO_MESHES)) is not None:
-            radius = sphere.size[0]
-            yield compose(pose, sphere.origin).position[2] - radius, radius
+        if (wheel := find_round_wheel(shape, axle, corners or NO_MESHES)) is not None:
+            radius = wheel.size[0]
+            yield compose(pose, wheel.origin).position[2] - radius, radius
 
 
-def _with_sphere_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:
-    found = tuple(find_wheel_sphere(shape, axle, corners) or shape for shape in link.collisions)
-    if found == link.collisions:
-        return link
+def _with_round_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:
+    found = tuple(find_round_wheel(shape, axle, corners) or shape for shape in link.collisions)
     return msgspec.structs.replace(link, collisions=found)
 
 
 def _without_friction(link: Link) -> Link:
-    smooth = tuple(_frictionless(shape) for shape in link.collisions)
-    return msgspec.structs.replace(link, collisions=smooth)
+    return msgspec.structs.replace(link, collisions=tuple(map(_frictionless, link.collisions)))
 
 
 def _frictionless(shape: Shape) -> Shape:

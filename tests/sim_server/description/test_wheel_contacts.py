@@ -9,6 +9,7 @@ import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape, Vec3
+from zensim.proto.rigid_transforms import rotate
 from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description.wheel_contacts import describe_mesh_wheels, links_in_contact
 
@@ -124,10 +125,22 @@ def test_round_mesh_is_turned_and_mirrored_as_its_shape() -> None:
     assert sphere.origin.position == pytest.approx((0.0, 0.015, 0.0))
 
 
+def test_round_mesh_of_a_roller_becomes_a_cylinder_along_its_tread() -> None:
+    """On a polygon of 38 sides, a robot of MuJoCo hops and turns at 0.8 of its prediction."""
+    roller = Shape("mesh", (0.05, 0.05, 0.05), Origin((0.0, 0.01, 0.0)), mesh="tyre", friction=0.7)
+
+    (cylinder,) = a_mesh_cart(roller, a_prism(38, width=5.0))[1].collisions
+
+    assert (cylinder.kind, cylinder.friction, cylinder.mesh) == ("cylinder", 0.7, "")
+    assert cylinder.size == pytest.approx((0.05, 0.125, 0.0))
+    assert cylinder.origin.position == pytest.approx((0.0, 0.0725, 0.0))
+    assert rotate(cylinder.origin.orientation, (0.0, 0.0, 1.0)) == pytest.approx((0.0, 1.0, 0.0))
+
+
 @pytest.mark.parametrize(
     "points",
-    [a_prism(8), a_prism(24, width=4.1), a_prism(24, squash=0.9), a_prism(24)[:, [1, 0, 2]]],
-    ids=["octagon", "roller", "oval", "across"],
+    [a_prism(8), a_prism(24, width=3.9), a_prism(24, squash=0.9), a_prism(24)[:, [1, 0, 2]]],
+    ids=["octagon", "short tread", "oval", "across"],
 )
 def test_other_mesh_of_a_wheel_is_unchanged(points: npt.NDArray[np.float64]) -> None:
     tyre = Shape("mesh", (0.05, 0.05, 0.05), mesh="tyre")

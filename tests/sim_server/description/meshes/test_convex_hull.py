@@ -22,7 +22,7 @@ from zensim.sim_server.description.meshes.convex_hull import (
     find_exact_hull,
     find_hull,
 )
-from zensim.sim_server.description.wheel_contacts import find_wheel_sphere
+from zensim.sim_server.description.wheel_contacts import find_round_wheel
 
 Points = npt.NDArray[np.float64]
 CUBE = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).T.reshape(-1, 3)
@@ -254,7 +254,7 @@ def test_hull_of_a_tyre_with_a_curved_tread_is_a_round_wheel(axis: int, width: f
     hull = find_hull(points + np.array([0.1, 0.2, 0.3]))
     joint = Joint("axle", "continuous", "base", "tyre", axis=tuple(np.eye(3)[axis].tolist()))
 
-    sphere = find_wheel_sphere(
+    sphere = find_round_wheel(
         Shape("mesh", (1.0, 1.0, 1.0), Origin((-0.1, -0.2, -0.3)), mesh="tyre"),
         joint,
         lambda _: hull.corners.astype(np.float32),
