@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from zensim.proto.se3 import FloatArray, wrap_angle
+
 REACHED_M: Final = 0.05
 """Distance from a point at which it counts as reached."""
 TURN_GAIN: Final = 2.0
@@ -34,8 +34,7 @@ def steer(headings: FloatArray, offsets: FloatArray, speeds: FloatArray) -> Floa
     Returns:
         Forward [m/s] and angular velocity [rad/s], (m, 2).
     """
-    error = np.arctan2(offsets[:, 1], offsets[:, 0]) - headings
-    error = np.arctan2(np.sin(error), np.cos(error))
+    error = wrap_angle(np.arctan2(offsets[:, 1], offsets[:, 0]) - headings)
     ahead = speeds * np.maximum(0.0, np.cos(error))
     return np.column_stack([ahead, np.where(speeds > 0.0, find_turn(error), 0.0)])
 
