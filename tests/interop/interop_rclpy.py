@@ -7,25 +7,39 @@ takes services of Cyclone DDS only, and no wheel has its rmw, so a client of Cyc
 with the request header that rmw_cyclonedds_cpp writes. Then rclpy finds topics and profiles, drives
 with Twist and TwistStamped, follows `/clock`, and answers scans in
 [lockstep](time.md#ros-nodes-in-lockstep), at once and late. The bridge, the agent and a node are
-killed with SIGKILL.
+killed with SIGKILL. `examples/ros2_check.py` runs beside ten robots of `zensim up`, which is killed
+and started again under a node that listens.
 """
 
+import re
+import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from benchmarks.figures import Figure
+from benchmarks.machine import ROOT
 from tests.integration.node_runs import WAIT, read_places
-from tests.integration.processes import START_S, eventually
+from tests.integration.processes import (
+    START_S,
+    eventually,
+    free_endpoint,
+    read_json_line,
+    running,
+)
 from tests.integration.repeatable_run import state_hash
 from tests.integration.sensor_runs import read_stats, wait_until_active
 from tests.interop.acceptance import all_of, at_most, naming, none_of, within
 from tests.interop.ros_processes import (
+    BRIDGED,
     DDS_CLIENT,
     PEER,
     RosHost,
+    RosNetwork,
+    read_line,
     read_ready,
     ros_host,
     running_pool,
@@ -53,6 +67,14 @@ PROFILES = {
     "robot_description": [*LATCHED, "std_msgs/msg/String"],
     "map": [*LATCHED, "nav_msgs/msg/OccupancyGrid"],
 }
+CHECK = ROOT / "examples" / "ros2_check.py"
+CHECKS = {
+    ("frames",): (rf"frames of {ROBOTS} robots .* ([\d.]+) s$", "all frames under world", "s"),
+    ("square", NAMES[0]): (r"closed to ([\d.]+) m", "end of a square to its begin", "m"),
+    ("resume", NAMES[0]): (r"again ([\d.]+) s", "kill of the simulator to odometry", "s"),
+}
+"""Checks of users, with what they print of a figure and its name."""
+CHECK_S = 150.0
 SERVICES = {
     "/spawn_entity": "simulation_interfaces/srv/SpawnEntity",
     "/gazebo/spawn_entity": "gazebo_msgs/srv/SpawnEntity",
@@ -85,6 +107,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             names = spawn_lidar_robots(host.server, ROBOTS)
             yield from judge_ways("TwistStamped", host.run(PEER, "drive_stamped", DRIVE_S, *names))
         yield from answer_scans()
+    yield from check_as_users_do()
 
 
 def spawn_robots(host: RosHost) -> Iterator[Figure]:
@@ -139,6 +162,44 @@ def listen_again(host: RosHost, killed: str) -> Iterator[Figure]:
     """Listen after something was killed and started again."""
     silent = host.run(PEER, "listen", "0.1", *NAMES)["silent"]
     yield none_of(naming(f"silent topics after {killed} was killed", silent), len(silent))
+
+
+def check_as_users_do() -> Iterator[Figure]:
+    """Run the checks of users, but those of services: rclpy over Fast DDS gets no reply."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        network = RosNetwork(free_endpoint(), folder)
+        first = stack.enter_context(running_up(network))
+        stack.enter_context(network.bridge())
+        said = []
+        for words in CHECKS:
+            command = network.python(CHECK, *words)
+            with network.running(*command) as node:
+                if words[0] == "resume" and read_line(node) == "ready":
+                    first.kill()
+                    stack.enter_context(running_up(network))
+                said.append(node.communicate(timeout=CHECK_S)[0].strip())
+    yield from judge_checks(said)
+
+
+@contextmanager
+def running_up(network: RosNetwork) -> Iterator["subprocess.Popen[str]"]:
+    """Run ten robots that nothing drives, as a user does."""
+    options = ("--behaviour", "none", "--no-viewer", "--json", "--listen", network.endpoint)
+    with running("up", *options, *BRIDGED) as process:
+        read_json_line(process)
+        yield process
+
+
+def judge_checks(said: list[str]) -> Iterator[Figure]:
+    """Read the figures that checks print; a check that fails prints why."""
+    failed = []
+    for line, (pattern, what, unit) in zip(said, CHECKS.values(), strict=True):
+        if found := re.search(pattern, line):
+            yield Figure(what=what, unit=unit, samples=(float(found[1]),))
+        else:
+            failed.append(line or f"no line of {what}")
+    yield none_of(naming("checks of ros2_check.py that fail", failed), len(failed))
 
 
 def _measure_way(host: RosHost) -> float:

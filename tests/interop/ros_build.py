@@ -1,6 +1,7 @@
 """rclpy from wheels, and a bridge between DDS and Zenoh: kept in the cache of the peers.
 
-The wheels are of PyPI, pinned by hashes; the bridge is zenoh-plugin-ros2dds, linked into a router.
+The wheels are of PyPI, pinned by hashes; tf2_msgs, of which there is none, is generated. The bridge
+is zenoh-plugin-ros2dds, linked into a router.
 """
 
 import hashlib
@@ -23,6 +24,7 @@ from tests.interop.peer_build import (
 
 SOURCES = Path(__file__).with_name("bridge")
 REQUIREMENTS = Path(__file__).with_name("ros_requirements.txt")
+MESSAGES = Path(__file__).with_name("ros_programs") / "make_messages.py"
 BINARY = "interop-bridge"
 PYTHON = "python3.11"
 """The wheels are of CPython 3.11."""
@@ -36,7 +38,8 @@ def find_bridge() -> Path:
 
 def find_ros_python() -> Path:
     """Find the place of the interpreter that has rclpy."""
-    digest = hashlib.sha256(REQUIREMENTS.read_bytes()).hexdigest()[:16]
+    both = REQUIREMENTS.read_bytes() + MESSAGES.read_bytes()
+    digest = hashlib.sha256(both).hexdigest()[:16]
     return cache_folder() / f"ros-{digest}" / "bin" / "python"
 
 
@@ -86,8 +89,10 @@ def _install_wheels(within_s: float) -> None:
     try:
         run_build((python, "-m", "venv", str(partial)), partial.parent, within_s)
         options = ("--quiet", "--no-deps", "--require-hashes", "--only-binary", ":all:")
-        install = ("-m", "pip", "install", *options, "-r", str(REQUIREMENTS))
-        run_build((str(partial / "bin" / "python"), *install), partial, within_s)
+        # The generators of messages need empy 3, which has no wheel.
+        install = ("-m", "pip", "install", *options, "--no-binary", "empy", "-r", str(REQUIREMENTS))
+        for arguments in (install, (str(MESSAGES),)):
+            run_build((str(partial / "bin" / "python"), *arguments), partial, within_s)
         # An environment can be moved as long as its programs are started by its interpreter.
         partial.rename(folder)
     finally:

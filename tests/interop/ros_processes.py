@@ -33,11 +33,10 @@ BRIDGED = ("--ros-bridge",)
 
 
 @dataclass(frozen=True)
-class RosHost:
-    """What processes of ROS 2 need, and the server that they see through the bridge."""
+class RosNetwork:
+    """What processes of ROS 2 need, and the router that they see through the bridge."""
 
-    server: Server
-    pool: "subprocess.Popen[str]"
+    endpoint: str
     folder: Path
     domain: int = field(default_factory=lambda: FIRST_DOMAIN + os.getpid() % DOMAINS)
 
@@ -84,10 +83,10 @@ class RosHost:
 
     @contextmanager
     def bridge(self) -> Iterator["subprocess.Popen[str]"]:
-        """Run the bridge as a client of the server, until the block ends."""
+        """Run the bridge as a client of the router, until the block ends."""
         settings = {
             "mode": "client",
-            "connect": {"endpoints": [self.server.endpoint]},
+            "connect": {"endpoints": [self.endpoint]},
             "scouting": {"multicast": {"enabled": False}},
             # As zenoh-bridge-ros2dds sets it: its latched topics need it.
             "timestamping": {"enabled": True},
@@ -99,6 +98,14 @@ class RosHost:
             assert process.stdout is not None
             assert process.stdout.readline() == "ready\n"
             yield process
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosHost(RosNetwork):
+    """The same, and processes of zensim."""
+
+    server: Server
+    pool: "subprocess.Popen[str]"
 
 
 @contextmanager
@@ -116,7 +123,7 @@ def ros_host(
         server = stack.enter_context(serving(*BRIDGED, *options))
         pool = stack.enter_context(running_pool(server, *agent_options))
         stack.enter_context(running_sensors(server, "s1", options=BRIDGED))
-        yield RosHost(server, pool, folder)
+        yield RosHost(server.endpoint, folder, server=server, pool=pool)
 
 
 @contextmanager
@@ -151,5 +158,10 @@ def wait_until_driven(server: Server, robots: int) -> None:
 
 def read_ready(process: "subprocess.Popen[str]") -> bool:
     """Wait until a script says whether it is ready."""
+    return bool(json.loads(read_line(process))["ready"])
+
+
+def read_line(process: "subprocess.Popen[str]") -> str:
+    """Wait for the next line that a script prints."""
     assert process.stdout is not None
-    return bool(json.loads(process.stdout.readline())["ready"])
+    return process.stdout.readline().strip()

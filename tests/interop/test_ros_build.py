@@ -42,6 +42,26 @@ def test_bridge_is_of_the_version_that_the_page_names() -> None:
     assert PLUGIN_VERSION in str(interop_rclpy.__doc__)
 
 
+@pytest.mark.parametrize(
+    ("said", "missed"),
+    [
+        ("100 frames of 10 robots under world after 0.24 s", []),
+        (
+            "90 frames of 9 robots under world after 0.24 s",
+            ["90 frames of 9 robots under world after 0.24 s"],
+        ),
+        ("", ["no line of all frames under world"]),
+    ],
+)
+def test_check_that_prints_no_figure_is_missed(said: str, missed: list[str]) -> None:
+    others = ["square of 1.6 m closed to 0.019 m", "heard again 7.2 s after the simulator ended"]
+
+    rows = list(interop_rclpy.judge_checks([said, *others]))
+
+    wrong = [row.what.partition("fail: ")[2] for row in rows if row.is_missed]
+    assert wrong == missed
+
+
 @pytest.mark.usefixtures("_empty_cache")
 def test_cached_run_builds_nothing_and_leaves_rclpy_out() -> None:
     with pytest.raises(PeersMissing):
