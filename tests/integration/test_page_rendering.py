@@ -7,6 +7,7 @@ from typing import Any, Final
 import pytest
 
 from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium, Tab
+from tests.integration.page_drawing import HAS_ROBOTS
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot
 from zensim.spawner.page.render_state import SimulationStatus, make_fleet, make_frame
@@ -15,8 +16,6 @@ from zensim.spawner.page.viewer_page import ViewerPage
 pytestmark = pytest.mark.browser
 
 WITHIN_S: Final = 60.0
-HAS_ROBOTS: Final = """
-Object.keys(window.__viserMutable.nodeRefFromName).some((one) => one.startsWith("/robots/"))"""
 LOOK: Final = """
 (() => {
   const {canvas} = window.__viserMutable;
