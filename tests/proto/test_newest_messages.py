@@ -8,7 +8,7 @@ from zensim.proto.newest_messages import NewestMessages
 
 
 class Queue:
-    """Messages that wait, of which those taken are counted."""
+    """Messages that wait; those that were taken are counted."""
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, bytes]] = deque()

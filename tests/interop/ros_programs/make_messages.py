@@ -1,4 +1,4 @@
-"""Build tf2_msgs/msg/TFMessage, of which there is no wheel, into the environment that runs this.
+"""Build tf2_msgs/msg/TFMessage, which has no wheel, into the environment that runs this.
 
 The generators of rosidl write sources, gcc compiles them to one library. Nothing of zensim is
 imported.
@@ -36,7 +36,7 @@ LIBRARIES = (
 
 
 def generate(folder: Path) -> list[Path]:
-    """Write the sources; return folders, of which the first one is the package."""
+    """Write the sources; return their folders, that of the package first."""
     definition, own = folder / "msg" / "TFMessage.msg", folder / "own" / PACKAGE
     definition.parent.mkdir()
     definition.write_text("geometry_msgs/TransformStamped[] transforms\n", encoding="utf-8")
