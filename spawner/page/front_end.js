@@ -447,6 +447,7 @@ function centreAboveSheet() {
   if (!camera || !camera.setViewOffset) return;
   const sheet = matchMedia("(max-width: 640px)").matches && document.querySelector(SHEET);
   const {clientWidth: width, clientHeight: height} = page.canvas;
+  nameSheet(sheet);
   const shift = sheet ? Math.round(Math.min(sheet.offsetHeight, height / 2) / 2) : 0;
   const now = `${width} ${height} ${shift}`;
   if (now === shifted) return;
@@ -454,6 +455,20 @@ function centreAboveSheet() {
   if (shift) camera.setViewOffset(width, height, 0, shift, width, height);
   else camera.clearViewOffset();
   page.requestRender();
+}
+
+function nameSheet(sheet) {
+  const title = sheet && [...sheet.querySelectorAll("[style*='cursor: pointer'] > div")]
+    .find((one) => one.innerText);
+  if (!title) return;
+  const isOpen = sheet.offsetHeight > 2 * title.parentNode.offsetHeight;
+  title.setAttribute("aria-label", `${isOpen ? "Collapse" : "Expand"} panel area`);
+  if (title.tabIndex === 0) return;
+  title.tabIndex = 0;
+  title.setAttribute("role", "button");
+  title.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") title.click();
+  });
 }
 
 addEventListener("DOMContentLoaded", () => {

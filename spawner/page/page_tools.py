@@ -215,6 +215,8 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
 .zensim-models img { display: block; width: 100%; border-radius: 4px; margin-bottom: 2px; }
 .zensim-models button:focus-visible { outline: 3px solid #4a90e2; }
 .zensim-fold:focus-visible { outline: 3px solid #4a90e2; }
+/* A list that begins below the window would lengthen the document, and scroll the panel back. */
+.mantine-Popover-dropdown { position: fixed !important; }
 /* Targets of fingers: 44 pixels; viser sets smaller ones in the elements. */
 @media (max-width: 640px) {
   /* The sheet is as wide as the phone; viser makes it 20 em wide. */

@@ -9,25 +9,36 @@ from tests.integration.controls.opened_page import (
     ROBOTS,
     Page,
     list_spawns,
-    open_small,
+    open_page,
 )
+from tests.integration.docs_media import PHONE, WIDE
 from tests.integration.page_controls import PageControls
 from tests.integration.processes import serving
 from tests.integration.test_view import viewing
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import SpawnEntitiesOrder
 
+SIZES = {"wide": WIDE, "phone": PHONE}
 
-@pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Leave the phone out of what CI runs for each push."""
+    if "phone" in item.name:
+        item.own_markers = [mark for mark in item.own_markers if mark.name != "smoke"]
+
+
+@pytest.fixture(scope="module", params=[*SIZES.values()], ids=[*SIZES])
+def opened(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Page]:
     """Open the page of four robots and a wall once for all tests."""
     folder = tmp_path_factory.mktemp("downloads")
     with serving() as server:
         server.client.spawn_all(SpawnEntitiesOrder((*list_spawns(),)))
         with viewing(server.endpoint) as (url, _), Chromium(PANELS_WITHOUT_WEBGL) as browser:
-            tab = open_small(browser, url, folder)
+            tab = open_page(browser, url, folder, request.param)
             tab.until("document.body.innerText.includes('playing')", 120.0)
-            yield Page(server, url, tab, PageControls(tab), folder)
+            yield Page(server, url, tab, PageControls(tab), folder, request.param)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.integration.chromium import Chromium, Tab
-from tests.integration.docs_media import HAS_ROBOTS
+from tests.integration.docs_media import HAS_ROBOTS, PHONE, WIDE
 from tests.integration.page_controls import Control, PageControls
 from tests.integration.processes import Server, eventually
 from tests.integration.test_page_sensors import WALL
@@ -32,7 +32,6 @@ from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
-WINDOW = (900, 700)
 COARSE = 0.3
 """Pixels of the scene per pixel of the window: WebGL in software draws the fewer faster."""
 WITHIN_S = 60.0
@@ -46,8 +45,8 @@ ROBOTS = {
 WALL_AT = (4.0, 0.0, 0.5)
 SHIFT = 8
 """Bit of a modifier in messages of the browser."""
-FLOOR_SHARE = (0.5, 0.85)
-"""Place in the scene where the ground is, of a camera that follows a robot."""
+FLOOR_SHARES = {WIDE: 0.85, PHONE: 0.45}
+"""Shares of the height where the ground is, of a camera that follows a robot."""
 SCENE_BOX = """
 (() => {
   const box = window.__viserMutable.canvas.getBoundingClientRect();
@@ -174,6 +173,8 @@ class Page:
     tab: Tab
     controls: PageControls
     downloads: Path
+    size: tuple[int, int] = WIDE
+    """Of the window [px]."""
 
     def select(self, name: str) -> None:
         """Select a robot alone, as the address of the page could, until keys drive it."""
@@ -185,21 +186,21 @@ class Page:
         self.controls.until(SELECT_ALONE % ("", ""))
         self.controls.until("!window.zensimIsDriving")
 
-    def click_scene(self, share: tuple[float, float] = FLOOR_SHARE) -> None:
-        """Click a place in the scene, as shares of its width and height."""
+    def click_scene(self, across: float = 0.5) -> None:
+        """Click the floor at a share of the width."""
         left, top, width, height = self.tab.evaluate(SCENE_BOX)
-        self.tab.click(left + share[0] * width, top + share[1] * height)
+        self.tab.click(left + across * width, top + FLOOR_SHARES[self.size] * height)
 
     def click_scene_until(
         self,
         is_done: Callable[[], bool],
         what: str,
-        share: tuple[float, float] = FLOOR_SHARE,
+        across: float = 0.5,
     ) -> None:
         """Click the floor until it has an effect: the page may not wait for a click yet."""
 
         def attempt() -> bool:
-            self.click_scene(share)
+            self.click_scene(across)
             return bool(self.tab.evaluate(PAUSE % 500)) and is_done()
 
         eventually(attempt, WITHIN_S, what)
@@ -265,12 +266,12 @@ class Page:
         self.controls.used.add(a_command(label))
 
 
-def open_small(browser: Chromium, url: str, folder: Path) -> Tab:
-    """Open a page in a small window, with the focus, and with files saved in a folder."""
+def open_page(browser: Chromium, url: str, folder: Path, size: tuple[int, int]) -> Tab:
+    """Open a page in a window or on a phone [px], with the focus; a folder has saved files."""
     tab = browser.tab()
     tab.call("Emulation.setFocusEmulationEnabled", enabled=True)
     tab.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
-    tab.set_size(*WINDOW)
+    tab.set_size(*size, is_mobile=size == PHONE)
     tab.call("Page.enable")
     tab.call("Page.addScriptToEvaluateOnNewDocument", source=DRAW_WHEN_ASKED)
     tab.call("Page.navigate", url=f"{url}/?fixedDpr={COARSE}")

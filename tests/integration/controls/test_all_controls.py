@@ -26,9 +26,10 @@ from tests.integration.controls.opened_page import (
     a_field,
     a_key,
     normalize,
-    open_small,
+    open_page,
     uses,
 )
+from tests.integration.docs_media import WIDE
 from tests.integration.page_controls import Control, PageControls
 from tests.integration.processes import eventually, running
 from zensim.proto import keys
@@ -164,7 +165,8 @@ def test_panel_shows_settings_and_is_collapsed(page: Page) -> None:
 
     page.controls.click(a_button("", "Collapse panel area"))
     eventually(lambda: page.controls.find(shows_all) is None, WITHIN_S, "a panel out of the way")
-    page.controls.click(a_button("", "Expand column"))
+    area = "column" if page.size == WIDE else "panel area"
+    page.controls.click(a_button("", f"Expand {area}"))
     page.controls.until_there(shows_all)
 
 
@@ -178,8 +180,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageControls]
     path = write_world(folder / "run.mcap")
     with running("view", "--recording", str(path), "--port", "0", "--loop") as process:
         assert process.stdout is not None
+        url = process.stdout.readline().split()[-1]
         with Chromium(PANELS_WITHOUT_WEBGL) as browser:
-            yield PageControls(open_small(browser, process.stdout.readline().split()[-1], folder))
+            yield PageControls(open_page(browser, url, folder, WIDE))
 
 
 POSITION = Control("Recording", "slider", "Position")

@@ -195,6 +195,6 @@ def test_two_clicks_measure_a_distance(page: Page) -> None:
     page.select("r1")
     page.controls.click(a_checkbox("See", "Measure"))
     page.click_scene_until(lambda: page.has_node("/measure/start"), "a start")
-    page.click_scene_until(lambda: page.has_node("/measure/distance"), "a distance", (0.3, 0.85))
+    page.click_scene_until(lambda: page.has_node("/measure/distance"), "a distance", 0.3)
     page.controls.click(a_checkbox("See", "Measure"))
     page.until_no_node("/measure/")
