@@ -47,6 +47,10 @@ class NoServer(BusError):
     """No queryable replies on this key."""
 
 
+class SessionClosed(BusError):
+    """This process has closed the session."""
+
+
 class JoinRefused(BusError):
     """A secured server does not admit the session, or is not the one of the token."""
 

@@ -18,7 +18,7 @@ from zenoh.handlers import Callback, FifoChannel, RingChannel
 
 from zensim.proto import keys
 from zensim.proto.bus.bus_config import MAX_MESSAGE_BYTES, BusConfig
-from zensim.proto.bus.bus_errors import EndpointUnreachable, JoinRefused, NoServer
+from zensim.proto.bus.bus_errors import EndpointUnreachable, JoinRefused, NoServer, SessionClosed
 from zensim.proto.bus.join_attempt import ask_for_refusal
 from zensim.proto.bus.session_opening import OPEN_TIMEOUTS_S, open_session
 from zensim.proto.bus_traffic import BusTraffic
@@ -1159,7 +1159,7 @@ class Bus:
                 "and meshes as files",
             )
         return partial(
-            self._session.get,
+            self._send_query,
             key,
             FifoChannel(16),
             payload=payload,
@@ -1168,6 +1168,12 @@ class Bus:
             timeout=timeout_s,
             source_info=self._source,
         )
+
+    def _send_query(self, *given: Any, **more: Any) -> "Handler[zenoh.Reply]":  # noqa: ANN401
+        try:
+            return cast("Handler[zenoh.Reply]", self._session.get(*given, **more))
+        except zenoh.ZError as error:
+            raise SessionClosed(f"no request can be sent: {error}") from error
 
     def _make_call_error(self, key: str, timeout_s: float, kind: type[Exception]) -> Exception:
         if kind is TimeoutError:

@@ -20,7 +20,7 @@ from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.asset_messages import GetAssetRequest
-from zensim.proto.messages.model_messages import Model, Origin, Sensor
+from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor, SensorTopic
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
@@ -146,28 +146,17 @@ class SceneRoster:
     @cached_property
     def meshes(self) -> tuple[str, ...]:
         """Names of the meshes of collisions."""
-        return tuple(
-            dict.fromkeys(
-                shape.mesh
-                for model in self.distinct_models
-                for link in model.links
-                for shape in link.collisions
-                if shape.kind == "mesh"
-            )
-        )
+        return self._name_meshes(lambda link: link.collisions)
 
     @cached_property
     def visual_meshes(self) -> tuple[str, ...]:
         """Names of the meshes that cameras see."""
-        return tuple(
-            dict.fromkeys(
-                shape.mesh
-                for model in self.distinct_models
-                for link in model.links
-                for shape in (*link.visuals, *link.collisions)
-                if shape.kind == "mesh"
-            )
-        )
+        return self._name_meshes(lambda link: (*link.visuals, *link.collisions))
+
+    def _name_meshes(self, list_shapes: Callable[[Link], Iterable[Shape]]) -> tuple[str, ...]:
+        links = (link for model in self.distinct_models for link in model.links)
+        shapes = (shape for link in links for shape in list_shapes(link))
+        return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
 
     @cached_property
     def texture_files(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
 from zensim.proto.bus import bus_session, session_files, session_opening
 from zensim.proto.bus.bus_config import BusConfig
-from zensim.proto.bus.bus_errors import EndpointTaken, EndpointUnreachable, NoServer
+from zensim.proto.bus.bus_errors import EndpointTaken, EndpointUnreachable, NoServer, SessionClosed
 from zensim.proto.bus.bus_session import MAX_TAKEN, Bus, open_bus
 from zensim.proto.bus.session_files import find_max_sessions
 from zensim.proto.bus.zenoh_config import MAX_QUERY_BYTES, WILDCARD_HZ
@@ -319,6 +319,15 @@ def test_begun_call_raises_when_no_server_is_present(client: Bus) -> None:
 
     with pytest.raises(NoServer):
         eventually(begun.poll, 5.0, "an error")
+
+
+def test_call_of_a_session_that_was_closed_is_an_error_of_the_network(client: Bus) -> None:
+    client.close()
+
+    with pytest.raises(SessionClosed):
+        client.call(INFO, InfoRequest(), world="w")
+    with pytest.raises(SessionClosed):
+        client.begin_call(INFO, InfoRequest(), world="w")
 
 
 def test_begun_call_times_out_when_the_server_never_replies(router: Bus, client: Bus) -> None:
