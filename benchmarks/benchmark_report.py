@@ -66,7 +66,6 @@ def measure(name: str, *, is_short: bool) -> Section:
         f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}\n"
         f"Other programs kept {others:.2f} cores busy meanwhile.\n"
         f"The host of this machine withheld {withheld}.\n"
-        f"A million additions in Python took {min(additions_ms):.0f} to "
-        f"{max(additions_ms):.0f} ms of CPU time before and after.\n",
+        f"{machine.describe_additions(additions_ms)}\n",
         tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
     )

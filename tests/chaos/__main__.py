@@ -9,7 +9,7 @@ from importlib import import_module
 from benchmarks.benchmark_report import Section
 from benchmarks.document_command import Document
 from benchmarks.figures import Figure, missed_among, table
-from benchmarks.machine import ROOT
+from benchmarks.machine import ROOT, describe_additions, time_additions_ms
 
 NAMES = (
     "agents",
@@ -47,11 +47,13 @@ def run_faults(name: str, *, is_short: bool) -> Section:
     The short form ignores limits that depend on the load of the machine.
     """
     module = import_module(f"tests.chaos.chaos_{name}")
+    additions_ms = time_additions_ms()
     rows: list[Figure] = list(module.rows(is_short=is_short))
+    speed = describe_additions(additions_ms + time_additions_ms())
     title, _, method = str(module.__doc__).partition("\n")
     command = f"`.venv/bin/python -m tests.chaos {name}`"
     return Section(
-        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{table(rows)}",
+        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{table(rows)}\n{speed}\n",
         missed_among(rows, is_short=is_short),
     )
 
