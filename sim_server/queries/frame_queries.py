@@ -117,11 +117,7 @@ MAX_SUGGESTED_NAMES = 5
 
 @dataclass(frozen=True)
 class ScopedLink:
-    """A moving link of an entity.
-
-    Attributes:
-        number: Index among `Model.links`.
-    """
+    """A moving link of an entity, and its number among `Model.links`."""
 
     entity: Entity
     number: int
@@ -134,11 +130,7 @@ class ScopedLink:
 
 @dataclass(frozen=True)
 class ScopedJoint:
-    """A joint.
-
-    Attributes:
-        number: Index among `Model.joints`.
-    """
+    """A joint of an entity, and its number among `Model.joints`."""
 
     entity: Entity
     number: int

@@ -176,10 +176,12 @@ def _find_package_below(root: Path, name: str) -> Iterator[Path]:
     """Find a package at most two folders below a root, as in a workspace of repositories."""
     if name in (root.name, read_package_name(root)):
         yield root
-    level = [root]
+    level, below = [root], list[Path]()
     for _ in range(3):
         yield from (folder / name for folder in level if (folder / name).is_dir())
         level = [child for folder in level for child in list_folders(folder)]
+        below += level
+    yield from (one for one in below if one.name != name and read_package_name(one) == name)
 
 
 def list_folders(folder: Path) -> list[Path]:

@@ -199,8 +199,10 @@ def _find_packages(paths: SearchPaths) -> dict[str, str]:
             siblings = (folder for folder in own.parent.iterdir() if is_package(folder))
             packages.update({_label_package(folder): str(folder) for folder in siblings})
     for root in reversed(paths.roots):
-        packages.update({folder.name: str(folder) for folder in root.iterdir() if folder.is_dir()})
-        packages[_label_package(root)] = str(root)
+        # A folder without package.xml may have the name of a package inside of it.
+        folders = (root, *(folder for folder in root.iterdir() if folder.is_dir()))
+        packages = {one.name: str(one) for one in reversed(folders)} | packages
+        packages |= {_label_package(one): str(one) for one in reversed(folders) if is_package(one)}
     return packages
 
 

@@ -36,6 +36,8 @@ MAX_FRICTION = 10.0
 """Friction of a shape: a steeper cone lifts at the least slip, and `LiftIteration` takes longer."""
 MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
+MIN_FRICTION_RATIO = 1e-3
+"""Of the lesser to the greater one: wheels of 3 and 1e-5 along two tangents ran away at rest."""
 MIN_LEVEL_AXIS = 0.1
 """Length on the plane of contact from which an axis of friction has an effect."""
 MIN_REBOUND_MPS = 0.05
@@ -218,7 +220,8 @@ class FrictionAxes:
         found, row, other = found[is_turned], row[is_turned], 1 - own[is_turned]
         limits = self.limits[contacts.geom[found, other]]
         limited = np.minimum(self.friction[row], limits[:, None])
-        contacts.friction[found, :TANGENTS] = np.maximum(limited, MIN_FRICTION)
+        least = np.maximum(MIN_FRICTION, MIN_FRICTION_RATIO * limited.max(axis=1, keepdims=True))
+        contacts.friction[found, :TANGENTS] = np.maximum(limited, least)
         return bool(len(found))
 
 

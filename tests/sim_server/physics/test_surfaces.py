@@ -23,6 +23,7 @@ from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 DT_S = STEP_NS * 1e-9
@@ -97,6 +98,31 @@ def test_cube_slides_by_mu1_along_fdir1_and_by_mu2_across(
     for heading, friction in ((along, 0.4), (along + math.pi / 2.0, 0.1)):
         plain = find_deceleration(engine, f"<mu1>{friction}</mu1>", heading, yaw)
         assert find_deceleration(engine, tags, heading, yaw) == pytest.approx(plain, rel=0.2)
+
+
+def a_mecanum(tags: str) -> Model:
+    """A base on four wheels, whose friction has the directions of the rollers of a mecanum."""
+    shape = '<geometry><cylinder radius="0.1" length="0.05"/></geometry>'
+    upright = '<origin rpy="1.5707963 0 0"/>'
+    parts = [a_link("base", an_inertial("10", "0.3"))]
+    for number, (x, y) in enumerate(((0.2, 0.15), (0.2, -0.15), (-0.2, 0.15), (-0.2, -0.15))):
+        wheel, across = f"wheel{number}", -1 if x * y > 0.0 else 1
+        place = f'<origin xyz="{x} {y} 0"/><axis xyz="0 1 0"/>'
+        parts += [
+            a_link(wheel, an_inertial("0.5", "0.002") + a_collision(shape, upright)),
+            a_joint(f"axle{number}", ("base", wheel), "continuous", place),
+            a_reference(wheel, f"{tags}<fdir1>1 {across} 0</fdir1>"),
+        ]
+    return read_urdf(a_robot(*parts))
+
+
+def test_wheels_without_friction_across_stand_still_in_mujoco() -> None:
+    with running(MujocoEngine) as engine:
+        body = engine.add(a_mecanum("<mu1>3</mu1><mu2>0</mu2>"), a_state((0.0, 0.0, 0.1)))
+
+        advance(engine, 480)
+
+        assert engine.read([body]).base[0, :3] == pytest.approx([0.0, 0.0, 0.1], abs=1e-5)
 
 
 def test_cube_slides_by_the_mean_when_no_direction_is_given(engine: Engine) -> None:

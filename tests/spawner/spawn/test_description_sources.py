@@ -352,8 +352,8 @@ def test_package_that_is_not_well_formed_hides_no_other(tmp_path: Path) -> None:
     assert "<link" in read_description_file(file, {}, paths).text
 
 
-def expand(file: Path, arguments: dict[str, str]) -> str:
-    return expand_xacro(file.read_text(), file, arguments, collect_search_paths((), {}))
+def expand(file: Path, arguments: dict[str, str], *roots: Path) -> str:
+    return expand_xacro(file.read_text(), file, arguments, collect_search_paths(roots, {}))
 
 
 def test_xacro_names_a_property_without_its_prefix(tmp_path: Path) -> None:
@@ -363,6 +363,15 @@ def test_xacro_names_a_property_without_its_prefix(tmp_path: Path) -> None:
 
     with pytest.raises(DescriptionError, match=r"common\.xacro sets 'M_PI'.*<xacro:property>"):
         expand(file, {})
+
+
+def test_xacro_prefers_a_package_to_a_folder_of_its_name(tmp_path: Path) -> None:
+    package = make_package(tmp_path / "parts", "parts").rename(tmp_path / "parts" / "parts_gazebo")
+    (package / "urdf" / "part.xacro").write_text(PART)
+    file = make_xacro(tmp_path, INCLUDE)
+
+    for root in (tmp_path, tmp_path / "parts"):
+        assert "found" in expand(file, {}, root)
 
 
 def test_xacro_names_the_package_folders_when_a_package_is_missing(tmp_path: Path) -> None:

@@ -64,6 +64,14 @@ def test_mesh_is_found_below_a_given_folder(tmp_path: Path, depth: str) -> None:
     assert place.path == (package / "meshes" / "base.stl").resolve()
 
 
+def test_mesh_is_found_in_a_package_whose_folder_has_another_name(tmp_path: Path) -> None:
+    package = make_package(tmp_path / "src").rename(tmp_path / "src" / "my_robot_gazebo")
+
+    place = collect_search_paths([tmp_path], {}).find("package://my_robot/meshes/base.stl")
+
+    assert place.path == (package / "meshes" / "base.stl").resolve()
+
+
 def test_mesh_is_found_if_the_given_folder_is_the_package(tmp_path: Path) -> None:
     package = make_package(tmp_path)
 
