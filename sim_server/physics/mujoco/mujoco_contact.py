@@ -37,7 +37,7 @@ MAX_FRICTION = 10.0
 MIN_FRICTION = 1e-5
 """MuJoCo's least friction along a tangent."""
 MIN_FRICTION_RATIO = 1e-3
-"""Of the lesser to the greater one: wheels of 3 and 1e-5 along two tangents ran away at rest."""
+"""Least share of the greater friction: wheels of 3 and 1e-5 along two tangents ran away."""
 MIN_LEVEL_AXIS = 0.1
 """Length on the plane of contact from which an axis of friction has an effect."""
 MIN_REBOUND_MPS = 0.05
