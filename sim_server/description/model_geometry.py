@@ -153,7 +153,7 @@ class _TiltedFrame(NamedTuple):
 def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> float:
     if shape.kind == "mesh":
         heights = corners(shape.mesh) @ [a * b for a, b in zip(shape.size, frame.up, strict=True)]
-        return frame.height + float(heights.min())
+        return frame.height + float(heights.min(initial=math.inf))
     down = [abs(part) for part in frame.up]
     if shape.kind == "box":
         reach = sum(part * size / 2.0 for part, size in zip(down, shape.size, strict=True))

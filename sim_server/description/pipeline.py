@@ -23,7 +23,7 @@ from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_xml import find_root_tag
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.description.wheel_contacts import describe_mesh_wheels
+from zensim.sim_server.description.wheel_contacts import describe_contacts
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -221,17 +221,19 @@ def _add_notes(model: Model, meshes: dict[str, bytes]) -> Model:
 
         return read_corners(meshes[mesh])
 
+    contacts = [
+        ReportEntry("applied", "drive" if model.drive else "wheels", note)
+        for note in describe_contacts(model, corners)
+    ]
     if model.drive is None:
         model = _raise_light_moments(model, corners)
-        notes = [*((FALL,) if falls_without_end(model) else ()), *_describe_pairs(model)]
+        fall = (FALL,) if falls_without_end(model) else ()
+        notes = [*contacts, *fall, *_describe_pairs(model)]
         return msgspec.structs.replace(model, report=(*model.report, *notes)) if notes else model
     from zensim.sim_server.description.driving_notes import describe_driving
 
-    round_wheels = (
-        ReportEntry("applied", "drive", note) for note in describe_mesh_wheels(model, corners)
-    )
     driving = describe_driving(model, corners)
-    report = (*model.report, *round_wheels, *driving.entries)
+    report = (*model.report, *contacts, *driving.entries)
     return msgspec.structs.replace(model, report=report, drags=driving.drags)
 
 

@@ -2,9 +2,10 @@
 
 A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
 other, so that the robot drifts while it turns on the spot, and a caster's edges rub when it
-swivels. A sphere of the same radius rolls the same way and touches at one point. A round mesh is a
-polygon, on which a robot hops; it becomes a sphere too, or a cylinder if its tread is wider than
-the diameter. Where the twist is applied to the body, friction is removed.
+swivels; a free one gains speed in Bullet, as contacts that it has left bear a share of its load. A
+sphere of the same radius rolls the same way and touches at one point. A round mesh is a polygon, on
+which a robot hops; it becomes a sphere too, or a cylinder if its tread is wider than the diameter.
+Where the twist is applied to the body, friction is removed.
 """
 
 from __future__ import annotations
@@ -19,13 +20,12 @@ from zensim.proto.rigid_transforms import compose, cross, from_directions, norma
 from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     FindCorners,
+    find_ground_clearance,
     find_link_poses,
     turns_freely,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     import numpy as np
     import numpy.typing as npt
 
@@ -39,8 +39,11 @@ MIN_AXLE_COS = 0.9999
 """Cosine of the angle between the cylinder and its axle."""
 MAX_LEVEL_AXLE_Z = 0.1
 """Slope of the axle of a wheel on the ground."""
+ROUND_KINDS = {"cylinder": "cylinders", "mesh": "round meshes"}
 MAX_WHEEL_WIDTH = 2.0
 """Width in radii; wider cylinders are rollers."""
+MAX_WHEEL_LIFT = 0.25
+"""Height over the lowest point up to which a wheel without a drive is on the ground, in radii."""
 MIN_TREAD_SHARE = 0.97
 """Share of the largest radius from which corners of a mesh belong to the tread."""
 MAX_TREAD_GAP_RAD = math.radians(30.0) + 1e-3
@@ -54,12 +57,10 @@ def links_in_contact(model: Model, corners: FindCorners = NO_MESHES) -> tuple[Li
         model: The robot.
         corners: Needed for wheels with meshes.
     """
-    drive = model.drive
-    if drive is None:
-        return model.links
-    if _is_driven_by_twist(drive):
+    if model.drive is not None and _is_driven_by_twist(model.drive):
         return tuple(_without_friction(link) for link in model.links)
-    axles = _find_axles(drive, model.links, model.joints, corners)
+    if not (axles := _find_wheels(model, corners)):
+        return model.links
     return tuple(
         _with_round_wheels(link, axles[link.name], corners) if link.name in axles else link
         for link in model.links
@@ -92,37 +93,19 @@ def _align_shape_friction(shape: Shape, axle: Vec3) -> Shape:
     return msgspec.structs.replace(shape, friction=along, contact=contact)
 
 
-def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
-    """Describe what `links_in_contact` changes on a robot with this drive; without its meshes."""
-    if _is_driven_by_twist(drive):
+def describe_contacts(model: Model, corners: FindCorners) -> list[str]:
+    """Describe what `links_in_contact` changes."""
+    if model.drive is not None and _is_driven_by_twist(model.drive):
         return ["friction of its collisions is not used: the twist is applied to the body"]
-    links, joints = tuple(links), tuple(joints)
-    axles = _find_axles(drive, links, joints, None)
-    rolling = [
-        repr(link.name)
-        for link in links
-        if link.name in axles
-        and any(is_wheel_cylinder(one, axles[link.name]) for one in link.collisions)
-    ]
-    if not rolling:
-        return []
-    return [f"cylinders of {', '.join(rolling)} touch the ground as spheres of their radius"]
-
-
-def describe_mesh_wheels(model: Model, corners: FindCorners) -> list[str]:
-    """Describe the wheels whose meshes `links_in_contact` replaces by spheres."""
-    if model.drive is None or _is_driven_by_twist(model.drive):
-        return []
-    axles = _find_axles(model.drive, model.links, model.joints, corners)
-    return [
-        f"mesh of {link.name!r} is round: it touches the ground as a {wheel.kind} of its largest "
-        f"radius, {wheel.size[0]:.4g} m"
-        for link in model.links
-        if link.name in axles
-        for shape in link.collisions
-        if shape.kind == "mesh"
-        and (wheel := find_round_wheel(shape, axles[link.name], corners)) is not None
-    ]
+    axles = _find_wheels(model, corners)
+    found: dict[str, list[str]] = {}
+    for link in model.links:
+        for shape in link.collisions if link.name in axles else ():
+            if (wheel := find_round_wheel(shape, axles[link.name], corners)) is not None:
+                what = f"{wheel.kind}s of their largest radius, {wheel.size[0]:.4g} m"
+                key = f"{ROUND_KINDS[shape.kind]} of {{}} touch the ground as {what}"
+                found.setdefault(key, []).append(repr(link.name))
+    return [text.format(", ".join(dict.fromkeys(names))) for text, names in found.items()]
 
 
 def find_round_wheel(shape: Shape, axle: Joint, corners: FindCorners = NO_MESHES) -> Shape | None:
@@ -200,47 +183,47 @@ def _is_driven_by_twist(drive: Drive) -> bool:
     return any(actuator.mode == "twist" for actuator in drive.actuators)
 
 
-def _find_axles(
-    drive: Drive, links: tuple[Link, ...], joints: tuple[Joint, ...], corners: FindCorners | None
-) -> dict[str, Joint]:
-    """Find the axle of each wheel, by link: those of the drive, and passive ones on the ground.
-
-    Without `corners`, passive wheels of meshes are left out.
-    """
-    driven = {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
-    held = {actuator.joint for actuator in drive.actuators}
+def _find_wheels(model: Model, corners: FindCorners) -> dict[str, Joint]:
+    """Find the axle of each wheel, by link: those of the drive, and passive ones on the ground."""
+    drive, joints = model.drive, model.joints
+    held = {actuator.joint for actuator in drive.actuators} if drive else set()
+    names = drive.wheel_joints if drive else ()
+    driven = {joint.child: joint for joint in joints if joint.name in names}
     passive = {
         joint.child: joint for joint in joints if turns_freely(joint) and joint.name not in held
     }
-    if not passive or not driven:
+    if not passive or model.is_static or (drive and not driven):
         return driven
-    poses = find_link_poses(links[0].name, joints)
-    wheels = {
-        link.name: list(_list_wheel_bottoms(link, axles[link.name], poses[link.name], corners))
-        for axles in (passive, driven)
-        for link in links
-        if link.name in axles
-    }
-    ground = min((low for name in driven for low, _ in wheels[name]), default=-math.inf)
+    wheels = _find_bottoms(model, passive | driven, corners)
+    if drive:
+        lift, ground = (
+            1.0,
+            min((low for name in driven for low, _ in wheels[name]), default=-math.inf),
+        )
+    else:
+        lift, ground = MAX_WHEEL_LIFT, find_ground_clearance(model, corners=corners)
     return driven | {
         name: joint
         for name, joint in passive.items()
-        if any(low - radius <= ground for low, radius in wheels[name])
+        if any(low - lift * radius <= ground for low, radius in wheels[name])
     }
 
 
-def _list_wheel_bottoms(
-    link: Link, axle: Joint, pose: Origin, corners: FindCorners | None
-) -> Iterable[tuple[float, float]]:
-    """List height [m] in the root link and radius [m] of the round shapes of a wheel, if level."""
-    if abs(rotate(pose.orientation, normalize(axle.axis))[2]) > MAX_LEVEL_AXLE_Z:
-        return
-    for shape in link.collisions:
-        if corners is None and shape.kind == "mesh":
-            continue
-        if (wheel := find_round_wheel(shape, axle, corners or NO_MESHES)) is not None:
-            radius = wheel.size[0]
-            yield compose(pose, wheel.origin).position[2] - radius, radius
+def _find_bottoms(
+    model: Model, axles: dict[str, Joint], corners: FindCorners
+) -> dict[str, list[tuple[float, float]]]:
+    """Find heights [m] in the root link and radii [m] of the round shapes on level axles."""
+    poses = find_link_poses(model.links[0].name, model.joints)
+    wheels: dict[str, list[tuple[float, float]]] = {name: [] for name in axles}
+    for link in model.links:
+        pose, axle = poses[link.name], axles.get(link.name)
+        if axle and abs(rotate(pose.orientation, normalize(axle.axis))[2]) <= MAX_LEVEL_AXLE_Z:
+            for shape in link.collisions:
+                if (wheel := find_round_wheel(shape, axle, corners)) is not None:
+                    radius = wheel.size[0]
+                    low = compose(pose, wheel.origin).position[2] - radius
+                    wheels[link.name].append((low, radius))
+    return wheels
 
 
 def _with_round_wheels(link: Link, axle: Joint, corners: FindCorners) -> Link:

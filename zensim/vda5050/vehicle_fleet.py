@@ -25,6 +25,8 @@ from zensim.vda5050.vehicle import Vehicle, VehiclePose
 from zensim.vda5050.vehicle_reports import VehicleMotion
 
 STILL_M_S: Final = 0.02
+STILL_S: Final = 0.2
+"""Simulation time below that speed after which a vehicle stands; drives swing back once."""
 IDLE_STEP_S: Final = 1.0
 """Simulation time between two steps of a vehicle without an action."""
 LOOK_PERIOD_S: Final = 0.1
@@ -41,6 +43,7 @@ ROW_ARRAYS: Final = (
     "_s",
     "_free",
     "_touched_s",
+    "_moved_s",
     "_driving",
     "_violated",
     "_active",
@@ -66,6 +69,8 @@ class VehicleFleet:
         """Simulation time and way since the last step of each vehicle."""
         self._touched_s = np.zeros(0)
         """Simulation time of the last contact."""
+        self._moved_s = np.zeros(0)
+        """Simulation time of the last motion."""
         self._driving = np.zeros(0, dtype=bool)
         self._violated = np.zeros(0, dtype=bool)
         self._active = np.zeros(0, dtype=bool)
@@ -90,7 +95,8 @@ class VehicleFleet:
         self.vehicles[row], self._known = vehicle, None
         for name in ROW_ARRAYS:
             getattr(self, name)[row] = 0
-        self._free[row], self._touched_s[row] = math.inf, -math.inf
+        self._free[row] = math.inf
+        self._touched_s[row] = self._moved_s[row] = -math.inf
         self._poses[row] = math.nan
         self._table.clear_route(row)
         self._table.set_limits(row, limits)
@@ -158,6 +164,8 @@ class VehicleFleet:
         """
         dt_s = max(0.0, now_s - self._now_s) if self._now_s else 0.0
         self._now_s, self._look_s = now_s, min(self._look_s, now_s + LOOK_PERIOD_S)
+        for times in (self._touched_s, self._moved_s):
+            np.minimum(times, now_s, out=times)
         at, boxes = self._find_rows(names)
         before = self._poses
         self._measure(base, at)
@@ -286,7 +294,9 @@ class VehicleFleet:
             self._traverse(row)
         speed = np.hypot(self._twists[:, 0], self._twists[:, 1])
         # Turning on the spot is driving, too.
-        driving = (speed > STILL_M_S) | (np.abs(twists).max(axis=1, initial=0.0) > 0.0)
+        moving = (speed > STILL_M_S) | (np.abs(twists).max(axis=1, initial=0.0) > 0.0)
+        self._moved_s[moving] = self._now_s
+        driving = self._now_s - self._moved_s < STILL_S
         violated = (self._free < CLEARANCE_M) | (self._now_s - self._touched_s < TOUCHED_S)
         for row in np.flatnonzero((driving != self._driving) | (violated != self._violated)):
             if (changed := self.vehicles[row]) is not None:

@@ -43,7 +43,6 @@ from zensim.sim_server.description.plugins.wheel_measures import (
     measure_wheels,
     rolls_backward,
 )
-from zensim.sim_server.description.wheel_contacts import describe_contacts
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -149,11 +148,11 @@ def _read_drive(
     if drive is not None:
         report.applied(subject, f"drive: {plugin.summarize(drive)}")
         plugin.check(drive, lumped, subject=subject, report=report)
-        _report_contacts(drive, lumped, report)
+        _report_bare_wheels(drive, lumped, report)
     return drive
 
 
-def _report_contacts(drive: Drive, lumped: LumpedModel, report: ParseReport) -> None:
+def _report_bare_wheels(drive: Drive, lumped: LumpedModel, report: ParseReport) -> None:
     children = {joint.name: joint.child for joint in lumped.joints}
     touching = {link.name for link in lumped.links if link.collisions}
     driven = [one.joint for one in drive.actuators if one.joint in drive.wheel_joints]
@@ -164,8 +163,6 @@ def _report_contacts(drive: Drive, lumped: LumpedModel, report: ParseReport) -> 
         report.suspicious(
             SUBJECT, f"wheels of {named} have no collision: they carry no load and move nothing"
         )
-    for note in describe_contacts(drive, lumped.links, lumped.joints):
-        report.applied(SUBJECT, note)
 
 
 def _make_publisher(
@@ -203,7 +200,7 @@ def _make_ordered(order: DriveOrder, lumped: LumpedModel, report: ParseReport) -
     if isinstance(drive, SteeringDrive):
         for fault_text in find_steering_faults(drive, lumped):
             report.suspicious(SUBJECT, fault_text)
-    _report_contacts(drive, lumped, report)
+    _report_bare_wheels(drive, lumped, report)
     return drive
 
 

@@ -26,7 +26,6 @@ from zensim.sim_server.description.plugins.publisher_plugins import (
 )
 from zensim.sim_server.description.plugins.sensor_reader import is_sensor_plugin, read_sensors
 from zensim.sim_server.description.strict_parsing import quote
-from zensim.sim_server.description.wheel_contacts import describe_contacts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -163,8 +162,6 @@ def _add_drive(
         return found
     report.applied(tags.subject, f"drive: {plugin.summarize(drive)}")
     plugin.check(drive, lumped, subject=tags.subject, report=report)
-    for note in describe_contacts(drive, lumped.links, lumped.joints):
-        report.applied(tags.subject, note)
     return msgspec.structs.replace(found, drive=drive)
 
 

@@ -11,7 +11,7 @@ from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape, Vec3
 from zensim.proto.rigid_transforms import rotate
 from zensim.proto.se3 import from_rpy
-from zensim.sim_server.description.wheel_contacts import describe_mesh_wheels, links_in_contact
+from zensim.sim_server.description.wheel_contacts import describe_contacts, links_in_contact
 
 SIDEWAYS = tuple(from_rpy(math.pi / 2.0, 0.0, 0.0).tolist())
 TYRE = Shape("cylinder", (WHEEL_RADIUS_M, 0.02, 0.0), Origin((0.0, 0.01, 0.0), SIDEWAYS))
@@ -160,18 +160,43 @@ def test_missing_mesh_is_unchanged() -> None:
     assert a_mesh_cart(tyre, np.zeros((0, 3)))[1].collisions == (tyre,)
 
 
-def test_report_names_round_meshes_of_driven_wheels_only() -> None:
+def test_report_names_round_wheels() -> None:
     tyre = Shape("mesh", (0.05, 0.05, 0.05), mesh="tyre")
-    cart, round_mesh = a_cart_on(tyre, tyre), {"tyre": a_prism(24)}.__getitem__
+    cart, round_mesh = a_cart_on(tyre, tyre, TYRE), {"tyre": a_prism(24)}.__getitem__
+    undriven = msgspec.structs.replace(cart, drive=None)
 
-    assert len(describe_mesh_wheels(cart, round_mesh)) == 2
-    assert describe_mesh_wheels(cart, lambda _: a_prism(6)) == []
-    assert describe_mesh_wheels(a_puck(), round_mesh) == []
-    assert describe_mesh_wheels(msgspec.structs.replace(cart, drive=None), round_mesh) == []
+    assert len(describe_contacts(cart, round_mesh)) == 2
+    assert len(describe_contacts(cart, lambda _: a_prism(6))) == 1
+    assert describe_contacts(undriven, round_mesh) == describe_contacts(cart, round_mesh)
+    assert "friction" in describe_contacts(a_puck(), round_mesh)[0]
 
 
-def test_links_without_a_drive_are_unchanged() -> None:
-    for model in (a_box(), a_cart(), msgspec.structs.replace(a_cart_on(TYRE), drive=None)):
+def test_wheel_on_the_ground_without_a_drive_becomes_a_sphere() -> None:
+    undriven = msgspec.structs.replace(a_cart_on(TYRE), drive=None)
+
+    assert links_in_contact(undriven) == links_in_contact(a_cart_on(TYRE))
+
+
+@pytest.mark.parametrize("fields", [{"is_static": True}, {"joints": ()}], ids=["static", "fixed"])
+def test_wheel_that_does_not_roll_is_unchanged(fields: dict[str, object]) -> None:
+    cart = msgspec.structs.replace(a_cart_on(TYRE), drive=None)
+    joints = tuple(msgspec.structs.replace(one, kind="fixed") for one in cart.joints)
+    model = msgspec.structs.replace(cart, **({"joints": joints} if "joints" in fields else fields))
+
+    assert links_in_contact(model) == model.links
+
+
+def test_disc_above_the_ground_without_a_drive_is_unchanged() -> None:
+    cart = msgspec.structs.replace(a_cart_on(TYRE), drive=None)
+    leg = Shape("box", (0.02, 0.02, 0.02), Origin((0.0, 0.0, -0.1)))
+    base = msgspec.structs.replace(cart.links[0], collisions=(leg,))
+    model = msgspec.structs.replace(cart, links=(base, *cart.links[1:]))
+
+    assert links_in_contact(model) == model.links
+
+
+def test_links_without_wheels_are_unchanged() -> None:
+    for model in (a_box(), a_cart()):
         assert links_in_contact(model) == model.links
 
 

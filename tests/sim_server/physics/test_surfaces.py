@@ -100,20 +100,38 @@ def test_cube_slides_by_mu1_along_fdir1_and_by_mu2_across(
         assert find_deceleration(engine, tags, heading, yaw) == pytest.approx(plain, rel=0.2)
 
 
-def a_mecanum(tags: str) -> Model:
-    """A base on four wheels, whose friction has the directions of the rollers of a mecanum."""
+def a_rover(*tags: str, angle: str = "1.5707963", mass: str = "10") -> Model:
+    """A base on four free wheels, whose cylinders the file turns onto their axles."""
     shape = '<geometry><cylinder radius="0.1" length="0.05"/></geometry>'
-    upright = '<origin rpy="1.5707963 0 0"/>'
-    parts = [a_link("base", an_inertial("10", "0.3"))]
-    for number, (x, y) in enumerate(((0.2, 0.15), (0.2, -0.15), (-0.2, 0.15), (-0.2, -0.15))):
-        wheel, across = f"wheel{number}", -1 if x * y > 0.0 else 1
+    upright = f'<origin rpy="{angle} 0 0"/>'
+    parts = [a_link("base", an_inertial(mass, "0.3", '<origin xyz="0.03 0.02 0"/>'))]
+    for number, (x, y) in enumerate(((0.2, 0.15), (0.2, -0.15), (-0.2, -0.15), (-0.2, 0.15))):
+        wheel = f"wheel{number}"
         place = f'<origin xyz="{x} {y} 0"/><axis xyz="0 1 0"/>'
         parts += [
             a_link(wheel, an_inertial("0.5", "0.002") + a_collision(shape, upright)),
             a_joint(f"axle{number}", ("base", wheel), "continuous", place),
-            a_reference(wheel, f"{tags}<fdir1>1 {across} 0</fdir1>"),
+            *(a_reference(wheel, one) for one in tags[number : number + 1]),
         ]
     return read_urdf(a_robot(*parts))
+
+
+def a_mecanum(tags: str) -> Model:
+    """A rover whose friction has the directions of the rollers of a mecanum."""
+    sides = (-1, 1, -1, 1)
+    return a_rover(*(f"{tags}<fdir1>1 {side} 0</fdir1>" for side in sides))
+
+
+@pytest.mark.parametrize("angle", ["1.57", "1.5708", "1.5707963267948966"])
+@pytest.mark.parametrize("speed", [0.0, 0.02, 0.2])
+def test_rover_that_nobody_drives_keeps_its_speed(engine: Engine, angle: str, speed: float) -> None:
+    body = engine.add(a_rover(angle=angle), a_state((0.0, 0.0, 0.1), linear=(speed, 0.0, 0.0)))
+    advance(engine, 240)
+    begun = float(engine.read([body]).base[0, 7])
+
+    advance(engine, 960)
+
+    assert float(engine.read([body]).base[0, 7]) == pytest.approx(begun, abs=5e-4)
 
 
 def test_wheels_without_friction_across_stand_still_in_mujoco() -> None:

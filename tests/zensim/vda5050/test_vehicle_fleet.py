@@ -1,6 +1,7 @@
 """All vehicles of a world, moved as they are commanded, without a network."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -82,6 +83,40 @@ def test_vehicles_drive_at_the_same_time_and_are_released() -> None:
     assert world.poses[:, 0] == pytest.approx([2.0, 0.0, 2.0], abs=0.05)
     assert world.find("r2").progress.is_idle
     assert not world.twists.any()
+
+
+def test_vehicle_that_swings_back_drives_until_it_stands() -> None:
+    world = World((0, 0))
+    send(world, "r0")
+    while not world.find("r0").progress.is_idle:
+        world.run(DT_S)
+    reports = []
+    for speed in (0.03, 0.0, -0.03, -0.03, *[0.0] * 10):
+        world.twists[0, 0] = speed
+        world.run(DT_S)
+        motion = world.fleet.motion("r0")
+        assert motion is not None
+        reports.append(motion.is_driving)
+
+    assert sum(before != after for before, after in pairwise(reports)) == 1
+    assert reports[4]
+    assert not reports[-1]
+
+
+def test_contact_before_a_reset_of_time_violates_no_field_for_long() -> None:
+    world = World((0, 0))
+    world.run(5.0)
+    world.fleet.note_contact("r0")
+    world.run(0.1)
+    touched = world.fleet.motion("r0")
+    world.now_s = 0.0
+    world.run(1.2)
+    later = world.fleet.motion("r0")
+
+    assert touched is not None
+    assert touched.is_field_violated
+    assert later is not None
+    assert not later.is_field_violated
 
 
 def test_vehicle_waits_at_its_decision_point_and_goes_on() -> None:

@@ -18,6 +18,7 @@ from zensim.proto.messages.drive_messages import (
     TricycleDrive,
     WheelPair,
 )
+from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
@@ -72,9 +73,10 @@ def test_car_has_the_lengths_of_its_links() -> None:
 
 
 def test_wheels_that_become_spheres_are_reported() -> None:
-    entries = report_of(a_car(a_plugin(CAR, CAR_JOINTS + BASE)))
+    text = a_car(a_plugin(CAR, CAR_JOINTS + BASE))
+    car = parse_description(text, assets={}, allow_missing=False, compat="fixed").model
 
-    assert mentions(entries, "applied", "plugin 'p'", "'rl', 'rr', 'fl', 'fr'", "spheres")
+    assert mentions(car.report, "applied", "drive", "'rl', 'rr', 'fl', 'fr'", "spheres")
 
 
 @pytest.mark.parametrize(
