@@ -12,11 +12,7 @@ import msgspec
 from zensim.deploy.recorded_models import RecordedModels
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
-from zensim.proto.messages.asset_messages import (
-    MAX_CHUNK_BYTES,
-    GetAssetRequest,
-    GetAssetResponse,
-)
+from zensim.proto.messages.asset_messages import MAX_CHUNK_BYTES, GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.replay_messages import (
     ReplayReport,
     ReplayRequest,
@@ -25,20 +21,10 @@ from zensim.proto.messages.replay_messages import (
 )
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, String
-from zensim.proto.messages.telemetry_messages import (
-    GetModelsRequest,
-    GetModelsResponse,
-    Snapshot,
-)
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
 from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.replay_catalog import GET_STATE, PAUSE, RESUME, SEEK, SET_RATE
-from zensim.proto.service_catalog import (
-    GET_ASSET,
-    GET_MODELS,
-    Request,
-    Response,
-    Service,
-)
+from zensim.proto.service_catalog import GET_ASSET, GET_MODELS, Request, Response, Service
 from zensim.proto.topic_catalog import SNAPSHOT
 from zensim.recording.entity_files import MESHES_FOLDER
 from zensim.recording.mcap_records import MalformedRecord

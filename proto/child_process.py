@@ -11,14 +11,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import IO, NamedTuple, NoReturn, Protocol, TypeVar
 
-from zensim.proto.parent_death import (
-    SIGKILL,
-    die_with_parent,
-)
-from zensim.proto.process_limits import (
-    KILLED_STATUS,
-    OUT_OF_CPU_TIME_STATUS,
-)
+from zensim.proto.parent_death import SIGKILL, die_with_parent
+from zensim.proto.process_limits import KILLED_STATUS, OUT_OF_CPU_TIME_STATUS
 
 FRAME_LENGTH = struct.Struct("<Q")
 """Precedes the bytes of each frame."""

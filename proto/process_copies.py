@@ -12,10 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from zensim.proto.parent_death import (
-    PARENT_PID_VARIABLE,
-    SIGKILL,
-)
+from zensim.proto.parent_death import PARENT_PID_VARIABLE, SIGKILL
 
 STATUS: Final = Path("/proc/self/stat")
 ARGUMENTS_START, ARGUMENTS_END = 45, 46

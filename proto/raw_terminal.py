@@ -10,12 +10,7 @@ from types import FrameType
 from typing import Any, Final
 
 from zensim.proto.printable_text import printable
-from zensim.proto.terminal_keys import (
-    IGNORE_FOCUS,
-    IGNORE_RELEASES,
-    REPORT_FOCUS,
-    REPORT_RELEASES,
-)
+from zensim.proto.terminal_keys import IGNORE_FOCUS, IGNORE_RELEASES, REPORT_FOCUS, REPORT_RELEASES
 
 CLEAR_LINE: Final = "\r\x1b[K"
 READ_BYTES: Final = 4096

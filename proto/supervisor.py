@@ -16,10 +16,7 @@ from zensim.proto.child_process import (
     make_module_command,
     start_process,
 )
-from zensim.proto.parent_death import (
-    PARENT_PID_VARIABLE,
-    set_subreaper,
-)
+from zensim.proto.parent_death import PARENT_PID_VARIABLE, set_subreaper
 from zensim.proto.process_copies import AdoptedProcess
 from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 from zensim.proto.verbosity import CURRENT, LOG_FORMAT_VARIABLE

@@ -14,12 +14,7 @@ from zensim.proto.messages.agent_messages import (
 from zensim.proto.messages.gazebo_messages import ContactsState, LinkStates, ModelStates
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.process_messages import AgentStats
-from zensim.proto.messages.sensing_messages import (
-    Contacts,
-    SceneState,
-    SensorsReply,
-    SensorStats,
-)
+from zensim.proto.messages.sensing_messages import Contacts, SceneState, SensorsReply, SensorStats
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.messages.standard_messages import (
     Altimeter,
@@ -48,12 +43,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import AuditRecord, Event, Snapshot, Stats, WorldClock
 from zensim.proto.messages.vehicle_messages import FleetStatus
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_5,
-    RELIABLE_10,
-    Qos,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_5, RELIABLE_10, Qos
 from zensim.proto.ros2.ros_graph import RosTopic
 from zensim.proto.ros2.ros_settings import PARAMETERS, RosSettings, parse_ros_settings
 from zensim.proto.settings.ros_choice import USUAL_TF, RosChoice, TfChoice

@@ -19,10 +19,7 @@ from zensim.proto.network_protocols import (
 )
 from zensim.proto.ros2.action_messages import ActionKind, GoalStatusArray
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_10,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_endpoint

@@ -13,12 +13,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
-from zensim.proto.network_protocols import (
-    MAX_COMMAND_BYTES,
-    AgentNetwork,
-    Sample,
-    Subscription,
-)
+from zensim.proto.network_protocols import MAX_COMMAND_BYTES, AgentNetwork, Sample, Subscription
 from zensim.proto.ros2.node_services import NodeParameters, NodeServices
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL

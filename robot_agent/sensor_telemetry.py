@@ -10,11 +10,7 @@ from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.standard_messages import Header
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.mounted_sensors import (
-    list_sensor_keys,
-    list_state_sensors,
-    mount_sensors,
-)
+from zensim.robot_agent.mounted_sensors import list_sensor_keys, list_state_sensors, mount_sensors
 from zensim.robot_agent.robot_rows import NEW_ROW, StateRows
 from zensim.robot_agent.state_sensors import (
     SensorOutput,

@@ -14,10 +14,7 @@ from zensim.proto.geodesy import WorldGeodesy
 from zensim.proto.message_paths import POSITION_AXES, QUATERNION_AXES
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim
 from zensim.proto.messages.model_messages import IDENTITY, Sensor
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SphericalCoordinates,
-)
+from zensim.proto.messages.sensing_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.sensor_messages import (
     AirPressureSensor,
     AltimeterSensor,

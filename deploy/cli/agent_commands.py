@@ -17,6 +17,7 @@ from zensim.proto.options.command_options import (
     WorldNameOption,
     flag,
     parse_choice,
+    seconds,
 )
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
@@ -53,9 +54,7 @@ class AgentOptions(RosTfOptions):
     ] = ""
     cmd_vel_timeout: Annotated[
         float,
-        typer.Option(
-            min=0.0,
-            metavar="SECONDS",
+        seconds(
             help=r"Stop a robot this long after its last cmd_vel \[s, simulation time]; 0 = never.",
         ),
     ] = 0.5
@@ -74,9 +73,7 @@ class AgentOptions(RosTfOptions):
     world_name: WorldNameOption = "default"
     wait: Annotated[
         float,
-        typer.Option(
-            min=0.0,
-            metavar="SECONDS",
+        seconds(
             help=r"Timeout of waiting for the server and the robots at start \[s].",
             rich_help_panel="Connection",
         ),

@@ -12,10 +12,7 @@ from zensim.deploy.cli.plot_commands import plot_command
 from zensim.deploy.cli.recording_options import TopicListCommand
 from zensim.deploy.cli.table_commands import export_command
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note

@@ -12,9 +12,7 @@ from typer.main import get_command
 from zensim.deploy.cli.command_settings import add_settings, list_options
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
-from zensim.proto.options.command_options import (
-    JsonOption,
-)
+from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.setting_variables import CONFIG_VARIABLE

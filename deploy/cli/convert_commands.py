@@ -20,10 +20,7 @@ from zensim.deploy.cli.recording_options import (
 )
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.options.command_options import (
-    JsonOption,
-    parse_choice,
-)
+from zensim.proto.options.command_options import JsonOption, parse_choice
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note

@@ -13,10 +13,7 @@ from zensim.deploy.cli.findings import Finding, choose_exit_status, make_finding
 from zensim.deploy.cli.host_findings import describe_host
 from zensim.deploy.cli.ros_observation import observe_robot
 from zensim.deploy.cli.ros_requirements import RosStack, check_stack
-from zensim.deploy.cli.sensor_commands import (
-    count_sensors_of_processes,
-    fetch_sensor_stats,
-)
+from zensim.deploy.cli.sensor_commands import count_sensors_of_processes, fetch_sensor_stats
 from zensim.proto import keys, service_catalog
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, JoinRefused, NoServer

@@ -9,10 +9,7 @@ import typer
 from zensim.deploy.local_runs import LocalRun, end_run, list_runs
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.options.command_options import (
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 

@@ -30,11 +30,7 @@ from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure,
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note

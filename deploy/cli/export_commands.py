@@ -10,12 +10,7 @@ from zensim.api.api_errors import Error
 from zensim.api.connections import connect
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    ConnectOption,
-    JsonOption,
-    WorldNameOption,
-    flag,
-)
+from zensim.proto.options.command_options import ConnectOption, JsonOption, WorldNameOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.verbosity import print_announcement
 from zensim.scenario.scenario_reader import SUFFIXES

@@ -8,12 +8,7 @@ from importlib.util import find_spec
 from typing import get_args
 
 from zensim.deploy.cli.findings import Finding
-from zensim.proto.engine_proofs import (
-    EngineName,
-    find_engine_build,
-    find_proofs_folder,
-    read_proof,
-)
+from zensim.proto.engine_proofs import EngineName, find_engine_build, find_proofs_folder, read_proof
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.package_versions import find_reported_versions
 

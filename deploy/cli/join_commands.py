@@ -17,10 +17,7 @@ from zensim.proto.join_tokens import (
     read_join_address,
     store_token,
 )
-from zensim.proto.options.command_options import (
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 

@@ -8,9 +8,7 @@ from typing import Annotated
 import typer
 
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    JsonOption,
-)
+from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.journal.sqlite_store import (

@@ -10,10 +10,7 @@ from zensim.deploy.cli.command_session import data_console, open_client, print_j
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import OccupancyGrid
 from zensim.proto.messages.world_messages import GetMapRequest
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption
 from zensim.proto.options.option_groups import make_app
 
 app = make_app()

@@ -17,9 +17,7 @@ from zensim.deploy.cli.spawn_arguments import (
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.options.command_options import (
-    JsonOption,
-)
+from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.sim_server.errors import ModelError, SimError

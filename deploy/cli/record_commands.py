@@ -30,12 +30,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EventKind
-from zensim.proto.metric_families import (
-    MetricFamily,
-    make_counter,
-    make_gauge,
-    make_labelled,
-)
+from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge, make_labelled
 from zensim.proto.names import check_name
 from zensim.proto.options.command_options import (
     ConnectionOptions,
@@ -46,6 +41,7 @@ from zensim.proto.options.command_options import (
     VerboseOption,
     flag,
     parse_choice,
+    seconds,
 )
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
@@ -225,9 +221,7 @@ class RecordOptions(ConnectionOptions):
     ] = False
     snapshot_duration: Annotated[
         float | None,
-        typer.Option(
-            min=0.0,
-            metavar="SECONDS",
+        seconds(
             help=r"Log time that is kept \[s]; 0 = as much as fits.",
             show_default="30",
             **_snapshots,

@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperCommand
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.options.command_options import seconds
 from zensim.recording.recording_reader import LAST_NS, RecordingReader
 
 TOPICS_PANEL, FILES_PANEL, TIME_PANEL = "Topics", "Files", "Time"
@@ -49,11 +50,9 @@ MaxBagSizeOption = Annotated[
 ]
 MaxBagDurationOption = Annotated[
     float,
-    typer.Option(
+    seconds(
         "--max-bag-duration",
         "-d",
-        min=0.0,
-        metavar="SECONDS",
         help=r"Begin a new file after this log time \[s]; 0 = never.",
         rich_help_panel=FILES_PANEL,
     ),
@@ -69,9 +68,7 @@ StorageProfileOption = Annotated[
 ]
 StartOffsetOption = Annotated[
     float,
-    typer.Option(
-        min=0.0,
-        metavar="SECONDS",
+    seconds(
         help=r"Begin this time after the first message \[s].",
         rich_help_panel=TIME_PANEL,
     ),

@@ -37,6 +37,7 @@ from zensim.proto.options.command_options import (
     RosOptions,
     WorldNameOption,
     flag,
+    seconds,
 )
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
@@ -131,11 +132,9 @@ class ReplayOptions(RosOptions):
     playback_duration: SpanOption = None
     delay: Annotated[
         float,
-        typer.Option(
+        seconds(
             "--delay",
             "-d",
-            min=0.0,
-            metavar="SECONDS",
             help=r"Wait before the start \[s]; latched topics are there.",
             **_time,
         ),

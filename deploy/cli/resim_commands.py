@@ -14,11 +14,7 @@ from zensim.proto.codec.message_codec import Format, decode, make_encoding
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
 from zensim.proto.messages.standard_messages import NANOSECONDS, UInt8MultiArray
-from zensim.proto.options.command_options import (
-    AllowFailedEngineOption,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import AllowFailedEngineOption, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.options.plain_options import parse_finite
 from zensim.proto.printable_text import print_lines
@@ -31,11 +27,7 @@ from zensim.sim_server.physics.engine_config import parse_engine_name
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
 
 if TYPE_CHECKING:
-    from zensim.sim_server.input_log.resimulation import (
-        FirstDifference,
-        ResimChanges,
-        ResimResult,
-    )
+    from zensim.sim_server.input_log.resimulation import FirstDifference, ResimChanges, ResimResult
     from zensim.sim_server.input_log.state_comparison import Distance, StateDifference
 
 app = make_app()

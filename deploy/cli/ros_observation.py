@@ -12,13 +12,7 @@ import msgspec
 from zensim.deploy.cli.ros_requirements import PUBLISHER, RobotTopics
 from zensim.proto.bus.bus_session import Bus, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
-from zensim.proto.messages.standard_messages import (
-    Clock,
-    LaserScan,
-    Odometry,
-    String,
-    TFMessage,
-)
+from zensim.proto.messages.standard_messages import Clock, LaserScan, Odometry, String, TFMessage
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.liveliness_tokens import (

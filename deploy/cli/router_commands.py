@@ -10,11 +10,7 @@ from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.bus.zenoh_config import to_zenoh_json
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    InsecureOption,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import InsecureOption, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.stop_signal import StopFlag

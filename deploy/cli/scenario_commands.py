@@ -9,10 +9,7 @@ from typing import Annotated
 import typer
 
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.options.command_options import (
-    JsonOption,
-    SetOption,
-)
+from zensim.proto.options.command_options import JsonOption, SetOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT

@@ -12,21 +12,11 @@ from zensim.proto import keys
 from zensim.proto.bus.bus_session import Bus
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.model_messages import Sensor
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SensorFigures,
-    SensorStats,
-)
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensing_messages import Environment, SensorFigures, SensorStats
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.network_protocols import Sample
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption
 from zensim.proto.options.option_groups import expand_options, make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.sensor_libraries import find_advice

@@ -16,6 +16,7 @@ from zensim.proto.options.command_options import (
     RosOptions,
     WorldNameOption,
     flag,
+    seconds,
 )
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
@@ -45,9 +46,7 @@ class SensorRunOptions(RosOptions):
     world_name: WorldNameOption = "default"
     wait: Annotated[
         float,
-        typer.Option(
-            min=0.0,
-            metavar="SECONDS",
+        seconds(
             help=r"Timeout of waiting for a server that starts later \[s].",
             rich_help_panel="Connection",
         ),

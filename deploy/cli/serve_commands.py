@@ -10,23 +10,12 @@ import typer
 
 from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.endpoints import (
-    check_exposure,
-    to_client_endpoint,
-    with_free_port,
-)
+from zensim.proto.endpoints import check_exposure, to_client_endpoint, with_free_port
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
-from zensim.proto.options.command_options import (
-    JsonOption,
-    RosOptions,
-    flag,
-)
+from zensim.proto.options.command_options import JsonOption, RosOptions, flag
 from zensim.proto.options.option_groups import make_app
-from zensim.proto.options.option_sources import (
-    is_exported_for_clients,
-    takes_precedence,
-)
+from zensim.proto.options.option_sources import is_exported_for_clients, takes_precedence
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
 from zensim.proto.settings.deployment_settings import USUAL

@@ -3,18 +3,10 @@
 import msgspec
 
 from zensim.deploy.cli.command_session import EntityName, open_client, print_json
-from zensim.deploy.cli.info_options import (
-    NewInfoOptions,
-    change_info,
-    format_category,
-    print_info,
-)
+from zensim.deploy.cli.info_options import NewInfoOptions, change_info, format_category, print_info
 from zensim.deploy.cli.state_options import NewStateOptions, change_state, format_state
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 

@@ -13,11 +13,7 @@ from zensim.deploy.cli.terminal_output import step_progress
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption, flag
 from zensim.proto.options.option_groups import expand_options, make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note

@@ -21,6 +21,7 @@ from zensim.proto.options.command_options import (
     JsonOption,
     flag,
     parse_choice,
+    seconds,
 )
 from zensim.proto.settings.path_completion import complete_models
 from zensim.spawner.spawn.description_sources import (
@@ -289,10 +290,8 @@ class FleetOptions(WaitingClientOptions, DescriptionOptions):
     ] = False
     wait_driven: Annotated[
         float,
-        typer.Option(
+        seconds(
             "--wait-driven",
-            min=0.0,
-            metavar="SECONDS",
             help=r"Wait until agents drive them, and fail after this time \[s]; 0 = do not wait.",
         ),
     ] = 0.0

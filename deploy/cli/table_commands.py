@@ -9,11 +9,7 @@ import typer
 
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    JsonOption,
-    flag,
-    parse_choice,
-)
+from zensim.proto.options.command_options import JsonOption, flag, parse_choice
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note

@@ -10,11 +10,7 @@ import typer
 from zensim.deploy.cli.command_session import complete_robots, open_client
 from zensim.deploy.cli.driven_robots import find_problem, select_robots, wait_for_subscriber
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
-from zensim.proto.options.command_options import (
-    ConnectionOptions,
-    JsonOption,
-    parse_choice,
-)
+from zensim.proto.options.command_options import ConnectionOptions, JsonOption, parse_choice
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.raw_terminal import RawTerminal, open_signals

@@ -13,19 +13,12 @@ from zensim.proto.bus.bus_config import BusConfig, Credentials
 from zensim.proto.bus.zenoh_config import list_client_settings
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import JoinToken
-from zensim.proto.options.command_options import (
-    JsonOption,
-    WorldNameOption,
-)
+from zensim.proto.options.command_options import JsonOption, WorldNameOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, RefusedUser, User
 from zensim.proto.verbosity import print_note
-from zensim.sim_server.security.secure_folder import (
-    Account,
-    SecureFolder,
-    open_secure_folder,
-)
+from zensim.sim_server.security.secure_folder import Account, SecureFolder, open_secure_folder
 
 app = make_app("token")
 

@@ -15,11 +15,7 @@ from rich.text import Text
 from zensim.deploy.cli.command_session import data_console, open_client, print_json, print_table
 from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines, printable
 from zensim.proto.verbosity import CURRENT

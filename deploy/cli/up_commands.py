@@ -49,11 +49,7 @@ from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.names import check_name
-from zensim.proto.options.command_options import (
-    RosTfOptions,
-    SetOption,
-    parse_choice,
-)
+from zensim.proto.options.command_options import RosTfOptions, SetOption, parse_choice
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.options.option_sources import is_exported_for_clients
 from zensim.proto.printable_text import print_lines
@@ -443,13 +439,7 @@ def _show_progress(count: int) -> Iterator[LaunchProgress]:
     if not console.is_terminal:
         yield LaunchProgress(lambda: None, lambda: None)
         return
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description:<9}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:

@@ -15,10 +15,7 @@ from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
-from zensim.proto.options.command_options import (
-    ConnectionOptions,
-    JsonOption,
-)
+from zensim.proto.options.command_options import ConnectionOptions, JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_file_limit

@@ -4,18 +4,13 @@ import platform
 import sys
 
 from zensim.deploy.cli.command_session import print_json
-from zensim.proto.options.command_options import (
-    JsonOption,
-)
+from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.package_versions import find_reported_versions
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.proto.verbosity import CURRENT
-from zensim.sim_server.physics.engine_config import (
-    explain_default,
-    find_installed_engines,
-)
+from zensim.sim_server.physics.engine_config import explain_default, find_installed_engines
 
 app = make_app()
 

@@ -21,11 +21,7 @@ from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.names import check_name
 from zensim.proto.network_protocols import FollowingNetwork
 from zensim.proto.options.access_options import AccessOptions
-from zensim.proto.options.command_options import (
-    ConnectionOptions,
-    JsonOption,
-    flag,
-)
+from zensim.proto.options.command_options import ConnectionOptions, JsonOption, flag
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_niceness
 from zensim.proto.security.roles import ROLES

@@ -22,12 +22,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.proto.network_protocols import MAX_REQUEST_BYTES
-from zensim.proto.options.command_options import (
-    ClientOptions,
-    JsonOption,
-    TimeoutOption,
-    flag,
-)
+from zensim.proto.options.command_options import ClientOptions, JsonOption, TimeoutOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.path_completion import WORLD_SUFFIXES

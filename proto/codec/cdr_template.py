@@ -7,9 +7,7 @@ from itertools import pairwise
 import msgspec
 
 from zensim.proto.codec.cdr import encode
-from zensim.proto.codec.cdr_layout import (
-    find_offsets,
-)
+from zensim.proto.codec.cdr_layout import find_offsets
 
 FLOAT_BYTES = 8
 NANOSECONDS_PER_SECOND = 1_000_000_000

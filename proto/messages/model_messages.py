@@ -8,12 +8,7 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from zensim.proto.messages.drive_messages import (
-    Actuator,
-    Compat,
-    Drive,
-    RosBlock,
-)
+from zensim.proto.messages.drive_messages import Actuator, Compat, Drive, RosBlock
 from zensim.proto.messages.sensor_messages import SensorSettings, SensorTopic
 
 Vec3 = tuple[float, float, float]

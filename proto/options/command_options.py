@@ -12,9 +12,7 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.settings.engine_settings import EngineChoice
 from zensim.proto.settings.network_settings import NetworkSettings
 from zensim.proto.settings.ros_choice import USUAL_ROS, USUAL_TF, RosChoice, TfChoice
-from zensim.proto.settings.setting import (
-    find_setting,
-)
+from zensim.proto.settings.setting import find_setting
 from zensim.proto.settings.setting_options import make_option
 from zensim.proto.topic_catalog import read_ros_settings
 from zensim.proto.verbosity import LOG_FORMAT_VARIABLE
@@ -24,6 +22,7 @@ Choice = TypeVar("Choice", bound=str)
 # In help texts a unit is written r"\[m]": Rich reads a plain [m] as markup and drops it.
 flag = partial(typer.Option, metavar="")
 """An option without a value; typer would show the type of its value as <bool>."""
+seconds = partial(typer.Option, metavar="SECONDS", min=0.0)
 _connection = partial(typer.Option, rich_help_panel="Connection")
 ConnectOption = Annotated[
     str,

@@ -11,11 +11,7 @@ from typer.models import ArgumentInfo
 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import ADDED_SWITCHES
-from zensim.proto.settings.setting import (
-    is_settings,
-    list_settings,
-    make_settings,
-)
+from zensim.proto.settings.setting import is_settings, list_settings, make_settings
 from zensim.proto.settings.setting_options import make_option_parameters
 from zensim.proto.verbosity import CURRENT, set_verbosity
 

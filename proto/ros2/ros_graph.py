@@ -17,10 +17,7 @@ from zensim.proto.ros2.liveliness_tokens import (
     make_endpoint_token,
     make_node_token,
 )
-from zensim.proto.ros2.qos_profiles import (
-    RELIABLE_10,
-    Qos,
-)
+from zensim.proto.ros2.qos_profiles import RELIABLE_10, Qos
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import hash_type
 

@@ -6,13 +6,7 @@ import msgspec
 
 from zensim.proto.names import check_frame
 from zensim.proto.ros2.rmw_keys import OFF, parse_domain
-from zensim.proto.settings.ros_choice import (
-    USUAL_TF,
-    BridgedCommand,
-    RosChoice,
-    TfChoice,
-    TfScope,
-)
+from zensim.proto.settings.ros_choice import USUAL_TF, BridgedCommand, RosChoice, TfChoice, TfScope
 
 DISTRIBUTION_WITHOUT_HASHES: Final = "humble"
 BRIDGED_COMMANDS: Final[dict[BridgedCommand, str]] = {

@@ -4,10 +4,7 @@ import msgspec
 
 from zensim.proto.messages.entity_messages import Bounds
 from zensim.proto.messages.model_messages import Model, Origin, ReportEntry, Vec3
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SphericalCoordinates,
-)
+from zensim.proto.messages.sensing_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.world_messages import Scene
 

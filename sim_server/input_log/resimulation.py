@@ -52,10 +52,7 @@ from zensim.sim_server.physics.engine_calls import (
     read_floats,
     write_floats,
 )
-from zensim.sim_server.physics.engine_config import (
-    choose_engine,
-    find_installed_engines,
-)
+from zensim.sim_server.physics.engine_config import choose_engine, find_installed_engines
 
 FLOAT_BYTES, SUM_BYTES = 8, 4
 DISAGREEMENTS: Final = (ValueError, LookupError, TypeError, ArithmeticError)

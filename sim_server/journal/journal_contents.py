@@ -17,12 +17,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.process_limits import sync_folder
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.journal.batch_writer import (
-    CLOCK_KIND,
-    MOTION_KIND,
-    WORLD_KIND,
-    copy_synced,
-)
+from zensim.sim_server.journal.batch_writer import CLOCK_KIND, MOTION_KIND, WORLD_KIND, copy_synced
 from zensim.sim_server.journal.journal_records import (
     ENCODER,
     ClockRow,

@@ -11,21 +11,13 @@ import msgspec
 from zensim.proto.child_process import STDIN, read_frame, reserve_stdout, write_frame
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.parent_death import die_with_parent
-from zensim.proto.process_limits import (
-    ResourceLimits,
-    allow_cpu_time,
-    set_resource_limits,
-)
+from zensim.proto.process_limits import ResourceLimits, allow_cpu_time, set_resource_limits
 from zensim.sim_server.description.unused_modules import leave_out_unused_modules
 
 if __name__ == "__main__":
     leave_out_unused_modules()
 
-from zensim.sim_server.description.pipeline import (
-    parse_description,
-    parse_world,
-    warm_up,
-)
+from zensim.sim_server.description.pipeline import parse_description, parse_world, warm_up
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import (
     MAX_CPU_S,

@@ -4,11 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from zensim.proto.messages.entity_messages import (
-    NOTHING_HIT_M,
-    CastRaysRequest,
-    CastRaysResponse,
-)
+from zensim.proto.messages.entity_messages import NOTHING_HIT_M, CastRaysRequest, CastRaysResponse
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.errors import SimError

@@ -4,10 +4,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from zensim.proto.process_memory import (
-    read_resident_bytes,
-    trim_memory,
-)
+from zensim.proto.process_memory import read_resident_bytes, trim_memory
 
 EXCESS_BYTES: Final = 24 << 20
 """Memory above that at the start from which trimming may be worth its time."""

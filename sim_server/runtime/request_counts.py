@@ -6,11 +6,7 @@ from typing import Final
 import msgspec
 
 from zensim.proto.messages.result_messages import Result
-from zensim.proto.metric_families import (
-    MetricFamily,
-    MetricSample,
-    make_labelled,
-)
+from zensim.proto.metric_families import MetricFamily, MetricSample, make_labelled
 from zensim.proto.service_catalog import INFO, SERVICES
 from zensim.proto.topic_catalog import WORLD_TOPICS
 

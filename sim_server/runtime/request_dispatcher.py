@@ -11,9 +11,7 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.codec.message_codec import (
-    MalformedPayload,
-)
+from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.json_logs import CONTEXT
 from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
 from zensim.proto.network_protocols import MAX_REQUEST_BYTES, MAX_REQUEST_ID_BYTES, ServiceCall

@@ -8,14 +8,8 @@ import msgspec
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.keys import parse_sensor_process
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.sensing_messages import (
-    SceneState,
-    SensorsReply,
-)
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensing_messages import SceneState, SensorsReply
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import Sample
 from zensim.proto.sensor_libraries import parse_missing

@@ -7,12 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.metric_families import (
-    MetricFamily,
-    make_counter,
-    make_gauge,
-    make_labelled,
-)
+from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge, make_labelled
 from zensim.sim_server.journal.server_journal import ChangeTracker
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.request_counts import RequestCounts

@@ -8,12 +8,7 @@ import msgspec
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, make_encoding
 from zensim.proto.messages.simulation_messages import SimulateStepsRequest, SimulateStepsResponse
-from zensim.proto.network_protocols import (
-    MAX_REQUEST_ID_BYTES,
-    Publisher,
-    Sample,
-    TopicNetwork,
-)
+from zensim.proto.network_protocols import MAX_REQUEST_ID_BYTES, Publisher, Sample, TopicNetwork
 from zensim.proto.security.roles import STEPS_USER
 from zensim.proto.service_catalog import SIMULATE_STEPS
 

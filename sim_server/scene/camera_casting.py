@@ -6,11 +6,7 @@ import numpy as np
 
 from zensim.proto.messages.sensor_messages import CameraSensor
 from zensim.proto.se3 import FloatArray, rotate_all
-from zensim.sim_server.scene.camera_images import (
-    CameraImages,
-    find_rgba,
-    make_pixel_directions,
-)
+from zensim.sim_server.scene.camera_images import CameraImages, find_rgba, make_pixel_directions
 from zensim.sim_server.scene.embree_casting import NO_SHAPE, EmbreeCaster
 from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, Rays
 from zensim.sim_server.scene.scene import SceneLayout

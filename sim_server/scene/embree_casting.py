@@ -14,14 +14,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from zensim.proto.messages.model_messages import Shape
-from zensim.proto.se3 import (
-    FloatArray,
-    conjugate,
-    cross,
-    rotate,
-    to_matrix,
-    transform_points,
-)
+from zensim.proto.se3 import FloatArray, conjugate, cross, rotate, to_matrix, transform_points
 from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 from zensim.sim_server.scene.convex_shapes import UNIT_CUBE, Z_AXIS
 from zensim.sim_server.scene.level_sections import ROUND_KINDS

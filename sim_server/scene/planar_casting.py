@@ -25,11 +25,7 @@ from zensim.sim_server.scene.level_sections import (
     bound_shapes,
     find_sections,
 )
-from zensim.sim_server.scene.ray_casting import (
-    NO_ENTITY,
-    PlacedShapes,
-    find_solid_ranges,
-)
+from zensim.sim_server.scene.ray_casting import NO_ENTITY, PlacedShapes, find_solid_ranges
 
 BoolArray = npt.NDArray[np.bool_]
 

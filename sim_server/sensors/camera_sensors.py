@@ -19,7 +19,6 @@ from zensim.proto.messages.standard_messages import (
     PointField,
 )
 from zensim.proto.messages.world_messages import Scene
-from zensim.proto.sensor_noise import SensorNoise, make_noise_key
 from zensim.proto.topic_catalog import (
     CAMERA_INFO,
     DEPTH_CAMERA_INFO,
@@ -41,8 +40,8 @@ from zensim.sim_server.scene.camera_selection import make_camera_renderer
 from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.scene.scene_lights import SceneLights
 from zensim.sim_server.sensors.array_messages import ArrayMessages
-from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor, SensorPlaces
-from zensim.sim_server.sensors.sensor_groups import GroupTopics, SceneMoment
+from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor
+from zensim.sim_server.sensors.sensor_groups import SceneMoment, SensorGroup
 from zensim.sim_server.sensors.sensor_publishers import SensorTopics
 
 FLOAT32 = 7
@@ -93,8 +92,8 @@ class ViewedScene:
         return self._renderer
 
 
-class CameraSensorGroup:
-    """Cameras with equal settings; see `SensorGroup`."""
+class CameraSensorGroup(SensorGroup):
+    """Cameras with equal settings."""
 
     def __init__(
         self,
@@ -104,25 +103,12 @@ class CameraSensorGroup:
         topics: SensorTopics,
         scene: ViewedScene,
     ) -> None:
-        """Prepare the messages.
-
-        Args:
-            sensors: With these settings, and topics of the same names.
-            settings: Of all of them.
-            roster: Of their entities.
-            topics: Publishes.
-            scene: Of these entities.
-        """
-        self.sensors = sensors
-        self._settings = settings
-        self._environment = roster.environment
-        self._scene = scene
-        self._places = SensorPlaces(sensors, roster)
-        self._topics = GroupTopics(sensors, topics)
-        frames = [sensor.sensor.frame_id for sensor in sensors]
-        compat = sensors[0].sensor.compat
+        """Prepare the messages; see `SensorGroup`."""
+        super().__init__(sensors, roster, topics)
+        self._settings, self._scene = settings, scene
         self._writers = {
-            name: make_image_writer(name, settings, frames, compat) for name in self._topics.names
+            name: make_image_writer(name, settings, self._frames, self._compat)
+            for name in self._topics.names
         }
 
     def publish(self, moment: SceneMoment) -> IntArray:
@@ -146,9 +132,7 @@ class CameraSensorGroup:
         """Add noise to the colours."""
         if self._settings.noise.kind == "none":
             return images
-        sensor = self.sensors[row]
-        key = make_noise_key(self._environment.seed, sensor.entity, sensor.sensor)
-        noise = SensorNoise([self._settings.noise], [key], self._environment, sensor.sensor.compat)
+        noise = self._make_noise(self._settings.noise, [row])
         colours = images.rgb.reshape(1, -1) / MAX_BYTE
         noisy = noise.apply_to_ranges(colours, step, range_min_m=0.0, range_max_m=1.0)
         rgb = np.rint(noisy * MAX_BYTE).astype(np.uint8).reshape(images.rgb.shape)

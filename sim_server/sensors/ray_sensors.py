@@ -18,13 +18,13 @@ from zensim.proto.messages.standard_messages import (
     Range,
 )
 from zensim.proto.se3 import FloatArray
-from zensim.proto.sensor_noise import SensorNoise, make_noise_key
+from zensim.proto.sensor_noise import SensorNoise
 from zensim.proto.topic_catalog import POINT_CLOUD, POINTS, RANGE, SCAN
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.scan_casting import find_increment, make_ray_directions
 from zensim.sim_server.sensors.array_messages import ArrayMessages, split_rows
-from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor, SensorPlaces
-from zensim.sim_server.sensors.sensor_groups import GroupTopics, SceneMoment, SensedScene
+from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor
+from zensim.sim_server.sensors.sensor_groups import SceneMoment, SensedScene, SensorGroup
 from zensim.sim_server.sensors.sensor_publishers import SensorTopics
 
 NOTHING_IN_RANGE_GAZEBO = float(np.finfo(np.float32).max)
@@ -194,8 +194,8 @@ RAYS_AT_ONCE = 1 << 16
 not wait for the last one, and memory is bounded."""
 
 
-class RaySensorGroup:
-    """Lidars or range finders with equal settings; see `SensorGroup`."""
+class RaySensorGroup(SensorGroup):
+    """Lidars or range finders with equal settings."""
 
     def __init__(
         self,
@@ -205,29 +205,15 @@ class RaySensorGroup:
         topics: SensorTopics,
         scene: SensedScene,
     ) -> None:
-        """Prepare the messages.
-
-        Args:
-            sensors: With these settings, and topics of the same names.
-            settings: Of all of them.
-            roster: Of their entities.
-            topics: Publishes.
-            scene: Of these entities.
-        """
-        self.sensors = sensors
-        self._settings = settings
-        self._environment = roster.environment
-        self._scene = scene
-        self._places = SensorPlaces(sensors, roster)
-        self._topics = GroupTopics(sensors, topics)
+        """Prepare the messages; see `SensorGroup`."""
+        super().__init__(sensors, roster, topics)
+        self._settings, self._scene = settings, scene
         self._noise: dict[int, tuple[bytes, SensorNoise]] = {}
         """Noise of blocks of rows, by their first row."""
         rays = settings.horizontal.count * settings.vertical.count
         self._block = max(1, RAYS_AT_ONCE // max(rays, 1))
-        frames = [sensor.sensor.frame_id for sensor in sensors]
-        compat = sensors[0].sensor.compat
         self._writers = {
-            name: SCAN_WRITERS[name](settings, frames, compat)
+            name: SCAN_WRITERS[name](settings, self._frames, self._compat)
             for name in self._topics.names
             if name in SCAN_WRITERS
         }
@@ -265,17 +251,7 @@ class RaySensorGroup:
         """Find the noise of some rows, which are mostly the same as the last time."""
         first, key = int(rows[0]), rows.tobytes()
         if first not in self._noise or self._noise[first][0] != key:
-            chosen = [self.sensors[row] for row in rows.tolist()]
-            seed = self._environment.seed
-            self._noise[first] = (
-                key,
-                SensorNoise(
-                    [self._settings.noise],
-                    [make_noise_key(seed, one.entity, one.sensor) for one in chosen],
-                    self._environment,
-                    chosen[0].sensor.compat,
-                ),
-            )
+            self._noise[first] = key, self._make_noise(self._settings.noise, rows.tolist())
         return self._noise[first][1]
 
 

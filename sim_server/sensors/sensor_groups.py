@@ -1,18 +1,20 @@
 """Groups of sensors with equal settings, which are measured and published together."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
+from zensim.proto.messages.sensor_messages import Noise
 from zensim.proto.se3 import FloatArray
+from zensim.proto.sensor_noise import SensorNoise, make_noise_key
 from zensim.proto.topic_catalog import TOPICS
 from zensim.sim_server.scene.broad_phase import IntArray
 from zensim.sim_server.scene.fleet_casting import make_scan_caster
 from zensim.sim_server.scene.scan_casting import ScanCaster
 from zensim.sim_server.scene.scene import SceneLayout
-from zensim.sim_server.sensors.scene_roster import SceneSensor
+from zensim.sim_server.sensors.scene_roster import SceneRoster, SceneSensor, SensorPlaces
 from zensim.sim_server.sensors.sensor_publishers import SensorAddress, SensorTopics, is_subscribed
 
 
@@ -51,17 +53,6 @@ class SensedScene:
             self._caster.place(moment.base, moment.joint_positions)
             self._moment = moment
         return self._caster
-
-
-class SensorGroup(Protocol):
-    """Sensors that are measured together."""
-
-    @property
-    def sensors(self) -> Sequence[SceneSensor]:
-        """The sensors; they have equal settings and rates."""
-
-    def publish(self, moment: SceneMoment) -> IntArray:
-        """Measure and publish the sensors with subscribers; return their indices (m,)."""
 
 
 class GroupTopics:
@@ -106,6 +97,36 @@ class GroupTopics:
         """Publish on one topic."""
         addresses = self._addresses[name]
         self._topics.put([addresses[row] for row in rows.tolist()], payloads)
+
+
+class SensorGroup(ABC):
+    """Sensors that are measured together; they have equal settings, rates and topics."""
+
+    def __init__(
+        self, sensors: Sequence[SceneSensor], roster: SceneRoster, topics: SensorTopics
+    ) -> None:
+        """Prepare what any of them needs.
+
+        Args:
+            sensors: With topics of the same names.
+            roster: Of their entities.
+            topics: Publishes.
+        """
+        self.sensors = sensors
+        self._environment = roster.environment
+        self._places = SensorPlaces(sensors, roster)
+        self._topics = GroupTopics(sensors, topics)
+        self._frames = [one.sensor.frame_id for one in sensors]
+        self._compat = sensors[0].sensor.compat
+
+    @abstractmethod
+    def publish(self, moment: SceneMoment) -> IntArray:
+        """Measure and publish the sensors with subscribers; return their indices (m,)."""
+
+    def _make_noise(self, noise: Noise, rows: Iterable[int]) -> SensorNoise:
+        chosen = [self.sensors[row] for row in rows]
+        keys = [make_noise_key(self._environment.seed, one.entity, one.sensor) for one in chosen]
+        return SensorNoise([noise], keys, self._environment, self._compat)
 
 
 def list_topic_names(sensor: SceneSensor) -> tuple[str, ...]:

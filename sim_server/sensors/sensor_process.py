@@ -23,10 +23,7 @@ from zensim.proto.messages.sensing_messages import (
     SensorsReply,
     SensorStats,
 )
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.metric_families import MetricFamily, make_counter, make_gauge
 from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.poll_schedule import PollSchedule
@@ -47,11 +44,7 @@ from zensim.proto.subscriber_search import SubscriberWatches
 from zensim.proto.topic_catalog import SCENE_STATE, SENSOR_STATS, SENSORS_REPLY
 from zensim.proto.verbosity import configure_logging
 from zensim.sim_server.scene.camera_selection import find_opengl_fault
-from zensim.sim_server.scene.sensor_faults import (
-    SensorFault,
-    find_sensor_fault,
-    has_one_level_row,
-)
+from zensim.sim_server.scene.sensor_faults import SensorFault, find_sensor_fault, has_one_level_row
 from zensim.sim_server.sensors.camera_sensors import CameraSensorGroup, ViewedScene
 from zensim.sim_server.sensors.ray_sensors import RaySensorGroup
 from zensim.sim_server.sensors.scene_roster import (

@@ -1,6 +1,8 @@
 """Services of Gazebo classic: states, pause, wrenches and efforts, joint and link properties."""
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -16,12 +18,10 @@ from zensim.proto.messages.simulation_messages import (
     State,
 )
 from zensim.proto.messages.standard_messages import (
-    Duration,
     Header,
     Point,
     Pose,
     Quaternion,
-    Time,
     Vector3,
     ns_from_time,
     time_from_ns,
@@ -65,13 +65,8 @@ def apply_link_wrench(
         _to_vector(request.wrench.torque, "torque"),
     )
     wrench = _wrench_at_com(world, target, request, force, torque)
-    span = _make_span(world, request.start_time, request.duration)
-    if span is None:
-        return gazebo_messages.ApplyLinkWrenchReport(
-            success=True, status_message="duration 0: nothing done"
-        )
-    world.applied_forces.add(LinkWrench(target.entity.name, target.number, wrench, span))
-    return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=_describe_span(span))
+    status = _apply(world, request, partial(LinkWrench, target.entity.name, target.number, wrench))
+    return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=status)
 
 
 def clear_link_wrenches(
@@ -94,13 +89,8 @@ def apply_joint_effort(
             f"joint {request.joint_name[:80]!r} is fixed; name one that moves",
         )
     (effort,) = _check_range((request.effort,), "effort")
-    span = _make_span(world, request.start_time, request.duration)
-    if span is None:
-        return gazebo_messages.ApplyJointEffortReport(
-            success=True, status_message="duration 0: nothing done"
-        )
-    world.applied_forces.add(JointEffort(target.entity.name, target.number, effort, span))
-    return gazebo_messages.ApplyJointEffortReport(success=True, status_message=_describe_span(span))
+    status = _apply(world, request, partial(JointEffort, target.entity.name, target.number, effort))
+    return gazebo_messages.ApplyJointEffortReport(success=True, status_message=status)
 
 
 def clear_joint_efforts(
@@ -131,16 +121,21 @@ def _wrench_at_com(
     return np.concatenate([force, torque + np.cross(arm, force)])
 
 
-def _make_span(world: SimulatedWorld, start: Time, duration: Duration) -> TimeSpan | None:
-    return make_time_span(
+def _apply(
+    world: SimulatedWorld,
+    request: gazebo_messages.ApplyLinkWrenchRequest | gazebo_messages.ApplyJointEffortRequest,
+    make: Callable[[TimeSpan], LinkWrench | JointEffort],
+) -> str:
+    """Apply a force for the time of a request; return when it acts."""
+    span = make_time_span(
         now_ns=world.clock.time_ns,
-        start_ns=ns_from_time(start),
-        duration_ns=ns_from_time(duration),
+        start_ns=ns_from_time(request.start_time),
+        duration_ns=ns_from_time(request.duration),
         step_ns=world.clock.step_ns,
     )
-
-
-def _describe_span(span: TimeSpan) -> str:
+    if span is None:
+        return "duration 0: nothing done"
+    world.applied_forces.add(make(span))
     end = "for ever" if span.end_ns is None else f"to {span.end_ns * 1e-9:.9g} s"
     return f"from {span.start_ns * 1e-9:.9g} s {end} of simulation time"
 

@@ -6,11 +6,7 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Model, Origin, ReportEntry, Sensor
 from zensim.proto.messages.sensing_messages import Environment
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    NavsatSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensor_messages import CameraSensor, NavsatSensor, RaySensor
 from zensim.proto.rigid_transforms import compose
 from zensim.proto.se3 import FloatArray, from_origin
 from zensim.proto.sensor_libraries import Library, find_missing_libraries

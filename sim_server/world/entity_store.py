@@ -3,12 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 
 from zensim.sim_server.errors import EntityNotFound
-from zensim.sim_server.world.entity import (
-    Entity,
-    EntityIndex,
-    append_to_index,
-    make_entity_index,
-)
+from zensim.sim_server.world.entity import Entity, EntityIndex, append_to_index, make_entity_index
 
 
 class EntityStore:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.messages.model_messages import Quat
 from zensim.proto.se3 import FloatArray
+from zensim.spawner.page.contact_shadows import find_ground_poses, make_shadow
 from zensim.spawner.page.glb_encoding import encode_glb
 from zensim.spawner.page.instance_updates import WXYZ_COLUMNS, has_moved, move_instances
 from zensim.spawner.page.model_visuals import (
@@ -43,14 +44,24 @@ class ModelNodes:
     """Scene nodes of one template: a batch per link and colour."""
 
     def __init__(
-        self, template: VisualTemplate, meshes: TriangleMeshes, scene: viser.SceneApi, path: str
+        self,
+        template: VisualTemplate,
+        meshes: TriangleMeshes,
+        scene: viser.SceneApi,
+        path: str,
+        *,
+        has_shadow: bool = False,
     ) -> None:
+        """Prepare the parts; with a shadow, each instance has a dark patch below it."""
         self.path = path
         self._scene = scene
         self._parts = [make_link_meshes(shapes, meshes) for shapes in template.links]
         self.bounds = find_bounds(template, self._parts)
         """Lowest and highest corner (2, 3) in the frame of the base."""
         self._body = find_body_colour(self._parts)
+        self._shadow = make_shadow(self.bounds) if has_shadow and np.any(self.bounds) else None
+        if self._shadow is not None:
+            self._parts.append([self._shadow])
         self._batches: list[list[BatchHandle]] = []
         self._sent: list[FloatArray] = []
         """Poses of each link that visitors have."""
@@ -68,6 +79,8 @@ class ModelNodes:
             links: Poses (k, 7) of each link.
             colours: Linear colours (k, 3) of the bodies, or None for those of the model.
         """
+        if self._shadow is not None:
+            links = [*links, find_ground_poses(links[0])]
         if self._batches:
             if colours is not None and not np.array_equal(colours, self._colours):
                 self._colours = colours
@@ -82,7 +95,7 @@ class ModelNodes:
         self._sent = [*links]
         self._colours = colours if colours is not None else self._colours
         self._batches = [
-            [self._add(f"{self.path}/{i}/{j}", part, poses) for j, part in enumerate(parts)]
+            [self._add(f"{i}/{j}", part, poses) for j, part in enumerate(parts)]
             for i, (parts, poses) in enumerate(zip(self._parts, links, strict=True))
         ]
         return True
@@ -108,7 +121,10 @@ class ModelNodes:
         for batch in itertools.chain.from_iterable(self._batches):
             batch.remove()
 
-    def _add(self, path: str, part: ColouredMesh, poses: FloatArray) -> BatchHandle:
+    def _add(self, place: str, part: ColouredMesh, poses: FloatArray) -> BatchHandle:
+        # Levels of detail keep the largest part of a robot, which is not to be its shadow.
+        root = self.path.replace("robots", "shadows") if part is self._shadow else self.path
+        path = f"{root}/{place}"
         if part.mesh.image:
             return self._add_textured(path, part, poses)
         alpha = part.rgba[3]
@@ -125,6 +141,7 @@ class ModelNodes:
             flat_shading=not part.is_smooth,
             side="double" if part.has_file else "front",
             lod=LOD_LEVELS if len(part.mesh.faces) > LOD_MIN_FACES else "off",
+            cast_shadow=part is not self._shadow,
             receive_shadow=False,  # artefacts at small faces
         )
 
@@ -186,7 +203,8 @@ class FleetNodes:
     ) -> None:
         nodes = self._nodes.get(group.template)
         if nodes is None:
-            nodes = ModelNodes(group.template, fleet.meshes, self._scene, next(self._paths))
+            path, is_robot = next(self._paths), group.colours is not None
+            nodes = ModelNodes(group.template, fleet.meshes, self._scene, path, has_shadow=is_robot)
             self._nodes[group.template] = nodes
         self._names[nodes.path] = group.names
         if nodes.show(links, group.colours):

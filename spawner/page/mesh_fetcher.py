@@ -12,12 +12,8 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.asset_messages import GetAssetRequest
 from zensim.proto.messages.model_messages import Model, Shape
 from zensim.proto.messages.result_messages import ServiceError
-from zensim.proto.network_protocols import (
-    CallingNetwork,
-)
-from zensim.proto.service_catalog import (
-    GET_ASSET,
-)
+from zensim.proto.network_protocols import CallingNetwork
+from zensim.proto.service_catalog import GET_ASSET
 from zensim.proto.stl import read_corners, stl_size
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,

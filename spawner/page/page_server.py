@@ -37,11 +37,7 @@ from zensim.proto.web_access import (
 )
 from zensim.spawner.page.page_messages import is_offered, note_control, read_page_message
 from zensim.spawner.page.page_tools import Rows, make_tools_script
-from zensim.spawner.page.script_messages import (
-    DRIVE_SCRIPT,
-    ScriptMessage,
-    read_script_message,
-)
+from zensim.spawner.page.script_messages import DRIVE_SCRIPT, ScriptMessage, read_script_message
 
 HOVER_SCRIPT: Final = """
 (() => {

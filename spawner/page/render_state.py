@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.model_messages import Light, Model, Origin
-from zensim.proto.messages.telemetry_messages import (
-    EntityModel,
-    GetModelsResponse,
-    Snapshot,
-    Stats,
-)
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot, Stats
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
 from zensim.proto.se3 import FloatArray, from_origin, to_yaw

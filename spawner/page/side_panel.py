@@ -10,12 +10,7 @@ from zensim.proto.messages.vehicle_messages import VehicleStatus
 from zensim.proto.printable_text import to_html
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.model_visuals import Array
-from zensim.spawner.page.render_state import (
-    LastCommand,
-    SimulationStatus,
-    format_state,
-    is_moving,
-)
+from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_state, is_moving
 from zensim.spawner.page.script_messages import HeadOrder
 
 

@@ -9,23 +9,14 @@ from zensim.proto import keys
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.standard_messages import Twist
-from zensim.proto.messages.telemetry_messages import (
-    GetModelsResponse,
-    Snapshot,
-    Stats,
-)
-from zensim.proto.network_protocols import (
-    FollowingNetwork,
-    Sample,
-)
+from zensim.proto.messages.telemetry_messages import GetModelsResponse, Snapshot, Stats
+from zensim.proto.network_protocols import FollowingNetwork, Sample
 from zensim.proto.se3 import transform_points
 from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT, STATS, find_topic
 from zensim.spawner.client.topic_reader import TopicReader, WantedTopics, keep_raw, read_topic
 from zensim.spawner.client.world_follower import WorldFollower
 from zensim.spawner.page.mesh_fetcher import MeshFetcher
-from zensim.spawner.page.model_visuals import (
-    TriangleMeshes,
-)
+from zensim.spawner.page.model_visuals import TriangleMeshes
 from zensim.spawner.page.render_state import (
     LastCommand,
     MismatchedSnapshot,

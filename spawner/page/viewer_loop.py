@@ -14,9 +14,7 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
-from zensim.proto.network_protocols import (
-    FollowingNetwork,
-)
+from zensim.proto.network_protocols import FollowingNetwork
 from zensim.proto.service_catalog import (
     DELETE_ENTITY,
     RESET_SIMULATION,
@@ -34,10 +32,7 @@ from zensim.spawner.page.render_state import (
     SimulationStatus,
 )
 from zensim.spawner.page.script_messages import HeadOrder
-from zensim.spawner.page.sensor_views import (
-    SensedFrame,
-    SensorChoice,
-)
+from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_data import MonotonicClock, ViewerDataSource
 from zensim.spawner.page.world_calls import WorldCalls

@@ -39,19 +39,10 @@ from zensim.spawner.page.script_messages import (
 )
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
-from zensim.spawner.page.side_panel import (
-    Order,
-    WatchedTopic,
-    WorldCall,
-    make_status_html,
-)
+from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall, make_status_html
 from zensim.spawner.page.time_panel import TimePanel
 from zensim.spawner.page.view_panel import ViewPanel
-from zensim.spawner.page.viewer_client import (
-    PageState,
-    PanelFactory,
-    ViewerClient,
-)
+from zensim.spawner.page.viewer_client import PageState, PanelFactory, ViewerClient
 from zensim.spawner.page.world_run import WorldRun
 
 PANELS: Final[Mapping[str, PanelFactory]] = MappingProxyType(

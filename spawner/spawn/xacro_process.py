@@ -19,10 +19,7 @@ import msgspec
 from zensim.proto.bounded_files import MAX_TEXT_FILE_BYTES, read_file
 from zensim.proto.child_process import reserve_stdout
 from zensim.proto.parent_death import die_with_parent
-from zensim.proto.process_limits import (
-    ResourceLimits,
-    set_resource_limits,
-)
+from zensim.proto.process_limits import ResourceLimits, set_resource_limits
 from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
 from zensim.spawner.spawn.search_paths import SearchPaths, is_package, read_package_name
 

@@ -136,6 +136,19 @@ def test_page_removes_deleted_entities(page: ViewerPage) -> None:
     assert names_of(page) == {"/robots/0": ["r2"]}
 
 
+def test_robots_have_a_shadow_and_walls_have_none(
+    page: ViewerPage, visitor: ClientConnection
+) -> None:
+    page.show(*a_scene("w1", "r1", "r2"), STATUS, {})
+
+    found: set[str] = set()
+    while not {"/robots/0/0/0", "/robots/1/0/0"} <= found:
+        found |= {str(one.get("name")) for one in read_messages(visitor.recv(timeout=60.0))}
+    shadows = {name for name in found if name.startswith("/shadows/")}
+    assert max(shadows) == "/shadows/1/2/0"
+    assert not any(name.startswith("/shadows/0") for name in shadows)
+
+
 @pytest.mark.usefixtures("visitor")
 def test_page_follows_no_robot_before_a_click(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
@@ -487,8 +500,8 @@ def test_links_of_robots_are_sent_when_they_move_and_their_parts_share_poses(
     for at_x in (1.0, 1.0 + 1e-6):
         page.show(fleet, make_frame(fleet, make_snapshot("r1", joints=1, at_x=at_x)), STATUS, {})
 
-    sent = read_updates(visitor, least=3)
-    assert sorted(sent) == ["/robots/0/0/0", "/robots/0/0/1", "/robots/0/1/0"]
+    sent = read_updates(visitor, least=4)
+    assert sorted(sent) == ["/robots/0/0/0", "/robots/0/0/1", "/robots/0/1/0", "/shadows/0/2/0"]
     assert sent["/robots/0/0/0"] == sent["/robots/0/0/1"] != sent["/robots/0/1/0"]
 
 
@@ -499,7 +512,8 @@ def read_updates(visitor: ClientConnection, least: int = 0) -> dict[str, object]
         while True:
             within_s = 0.5 if len(found) >= least else 60.0
             for message in read_messages(visitor.recv(timeout=within_s)):
-                if message["type"] == "SceneNodeUpdateMessage" and "/robots/" in message["name"]:
+                is_update = message["type"] == "SceneNodeUpdateMessage"
+                if is_update and message["name"].startswith(("/robots/", "/shadows/")):
                     assert message["name"] not in found
                     found[message["name"]] = message["updates"]
     return found

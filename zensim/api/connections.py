@@ -25,12 +25,7 @@ from zensim.proto.bus.bus_errors import BusError, ForkedProcess, JoinRefused, No
 from zensim.proto.bus.bus_session import Bus, open_bus_with_retry
 from zensim.proto.bus.zenoh_runtime import require_threads
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from zensim.proto.join_tokens import (
-    TOKEN_VARIABLE,
-    hide_token,
-    is_join_address,
-    read_join_address,
-)
+from zensim.proto.join_tokens import TOKEN_VARIABLE, hide_token, is_join_address, read_join_address
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.settings.deployment_settings import ProgramSettings
 from zensim.proto.settings.lockstep_settings import PATIENT, LockstepSettings

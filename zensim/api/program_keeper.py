@@ -12,12 +12,7 @@ from collections import deque
 
 from zensim.api.api_errors import ConnectionLost, Error, Timeout
 from zensim.api.call_deadline import limit
-from zensim.api.local_deployment import (
-    DemandLaunch,
-    LaunchConfig,
-    LaunchFailed,
-    start_programs,
-)
+from zensim.api.local_deployment import DemandLaunch, LaunchConfig, LaunchFailed, start_programs
 from zensim.proto import keys
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, TooFewFiles

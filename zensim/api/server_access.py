@@ -19,13 +19,7 @@ from zensim.api.world_state import WorldState, make_world_state
 from zensim.proto import keys
 from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.codec.message_codec import (
-    Format,
-    MalformedPayload,
-    decode,
-    encode,
-    make_encoding,
-)
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import TwistCommands, split_orders
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.sensing_messages import SensorStats

@@ -40,12 +40,7 @@ from zensim.api.spawning import (
 )
 from zensim.api.undriven_spawns import UndrivenSpawns
 from zensim.api.world_access import WorldAccess, api_errors
-from zensim.api.world_session import (
-    MAX_RUN_S,
-    WorldSession,
-    check_protocol,
-    make_not_found,
-)
+from zensim.api.world_session import MAX_RUN_S, WorldSession, check_protocol, make_not_found
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.fault_messages import (

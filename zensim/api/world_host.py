@@ -25,11 +25,7 @@ from zensim.api.world_snapshots import (
 )
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
-from zensim.proto.memory_bus import (
-    MemoryBus,
-    MemoryQueries,
-    MemorySubscription,
-)
+from zensim.proto.memory_bus import MemoryBus, MemoryQueries, MemorySubscription
 from zensim.proto.messages.agent_messages import ClaimShareRequest, expand_grants
 from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.result_messages import Result, ResultCode

@@ -19,10 +19,7 @@ from zensim.api.world_state import FloatArray, WorldState
 from zensim.proto.messages.agent_messages import Claim, FleetOdometry, TwistCommands
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensing_messages import Environment
-from zensim.proto.messages.sensor_messages import (
-    CameraSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
 from zensim.proto.near_names import list_near

@@ -10,13 +10,7 @@ from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.robot_agent.pool.group_bases import VX, VY, WZ, GroupDrive
 from zensim.robot_agent.robot_frames import get_drive
-from zensim.robot_agent.robot_rows import (
-    NEW_ROW,
-    BoolArray,
-    FloatArray,
-    GroupRateLimiter,
-    IntArray,
-)
+from zensim.robot_agent.robot_rows import NEW_ROW, BoolArray, FloatArray, GroupRateLimiter, IntArray
 
 TWIST_COLUMNS = 6
 PlaceArray = npt.NDArray[np.intp]

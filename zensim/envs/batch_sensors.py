@@ -10,10 +10,7 @@ from zensim.api.world_host import WorldHost
 from zensim.envs.world_layout import FloatArray, IntArray, WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensing_messages import Environment
-from zensim.proto.messages.sensor_messages import (
-    ImuSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensor_messages import ImuSensor, RaySensor
 from zensim.proto.sensor_noise import KeyArray, SensorNoise, make_noise_key
 from zensim.proto.topic_catalog import IMU
 from zensim.robot_agent.mounted_sensors import list_state_sensors, mount_sensors

@@ -10,23 +10,12 @@ from zensim.foxglove.live_topics import LiveTopic, list_live_topics
 from zensim.foxglove.merged_transforms import Transform, make_transform
 from zensim.foxglove.scene_entities import WORLD_FRAME, make_scene
 from zensim.proto.bus.bus_session import Bus
-from zensim.proto.messages.entity_messages import (
-    EntityFilters,
-    EntityState,
-    GetEntitiesStatesOrder,
-)
+from zensim.proto.messages.entity_messages import EntityFilters, EntityState, GetEntitiesStatesOrder
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Vector3
-from zensim.proto.messages.telemetry_messages import (
-    EntityModel,
-    GetModelsResponse,
-)
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.rigid_transforms import from_rpy, to_rpy
-from zensim.proto.ros2.liveliness_tokens import (
-    TOKEN_SPACE,
-    AnnouncedEndpoint,
-    parse_endpoint_token,
-)
+from zensim.proto.ros2.liveliness_tokens import TOKEN_SPACE, AnnouncedEndpoint, parse_endpoint_token
 from zensim.proto.service_catalog import GET_ENTITIES_STATES
 from zensim.proto.topic_catalog import TF
 from zensim.proto.topic_discovery import PUBLISHER, TopicFacts, list_robot_topics, merge_endpoints

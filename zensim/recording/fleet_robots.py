@@ -13,11 +13,7 @@ from zensim.proto.drive_topic_keys import resolve_odom_key, resolve_topic_key
 from zensim.proto.messages.drive_messages import DriveSettings
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
-from zensim.proto.messages.telemetry_messages import (
-    EntityModel,
-    Event,
-    GetModelsResponse,
-)
+from zensim.proto.messages.telemetry_messages import EntityModel, Event, GetModelsResponse
 from zensim.proto.network_protocols import CallingNetwork, Sample
 from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
 from zensim.proto.topic_catalog import ODOM, TF

@@ -5,14 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.recording.mcap_records import (
-    AttachedFile,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    Metadata,
-    Schema,
-)
+from zensim.recording.mcap_records import AttachedFile, Channel, Chunk, ChunkIndex, Metadata, Schema
 from zensim.recording.mcap_scan import (
     LooseMessage,
     OpenChunk,

@@ -12,10 +12,7 @@ from msgspec import inspect
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.standard_messages import Pose
 from zensim.scenario.quantities import make_uniforms, resolve_draws
-from zensim.scenario.scenario_format import (
-    LayoutSection,
-    PlaceSection,
-)
+from zensim.scenario.scenario_format import LayoutSection, PlaceSection
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode, fail_at
 from zensim.scenario.scenario_nodes import read_nodes as read_yaml_nodes
 from zensim.scenario.typed_reading import TypedReader

@@ -9,12 +9,7 @@ from typing import Any
 from zensim.proto.names import NAME_PATTERN
 from zensim.scenario.quantities import Draw, PlainValue
 from zensim.scenario.recorded_commands import read_commands
-from zensim.scenario.robot_places import (
-    ScenarioRobot,
-    name_group,
-    place_group,
-    read_pose_file,
-)
+from zensim.scenario.robot_places import ScenarioRobot, name_group, place_group, read_pose_file
 from zensim.scenario.robot_selectors import SelectorInvalid, select_robots
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioInvalid, ScenarioNode
 from zensim.scenario.scenario_variations import VariationReader, Variations

@@ -25,10 +25,7 @@ from zensim.proto.messages.sensor_messages import (
 )
 from zensim.proto.names import InvalidName, check_frame
 from zensim.proto.rigid_transforms import OPTICAL_AXES, compose, conjugate, multiply, rotate
-from zensim.sim_server.description.collision_names import (
-    find_collisions,
-    find_collisions_of_link,
-)
+from zensim.sim_server.description.collision_names import find_collisions, find_collisions_of_link
 from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.plugins.drive_plugin import SUBSTITUTION
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, read_ros_block

@@ -6,12 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, get_args
 
-from zensim.proto.messages.sensor_messages import (
-    NO_NOISE,
-    Noise,
-    NoiseKind,
-    NoiseOfVector,
-)
+from zensim.proto.messages.sensor_messages import NO_NOISE, Noise, NoiseKind, NoiseOfVector
 from zensim.sim_server.description.plugins.plugin_tags import (
     NOT_A_NUMBER,
     PluginTags,

@@ -7,12 +7,7 @@ import msgspec
 
 from zensim.proto.names import check_name, check_namespace, is_topic_name
 from zensim.recording.recording_reader import StoredTopic
-from zensim.recording.topic_selection import (
-    CLOCK_TOPIC,
-    ROSTER_TOPICS,
-    TopicFilter,
-    TopicSelection,
-)
+from zensim.recording.topic_selection import CLOCK_TOPIC, ROSTER_TOPICS, TopicFilter, TopicSelection
 
 WORLD_PART: Final = "sim"
 REPLAYED_WORLD_TOPICS: Final = frozenset(one.suffix for one in ROSTER_TOPICS)
