@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.drive_messages import Drive
 
 
+ROUND_KINDS = {"cylinder": "cylinders", "mesh": "round meshes"}
 HALF = 0.5
 MAX_AXLE_OFFSET = 0.01
 """Distance of a wheel cylinder from its axle, in radii."""
@@ -39,9 +40,12 @@ MIN_AXLE_COS = 0.9999
 """Cosine of the angle between the cylinder and its axle."""
 MAX_LEVEL_AXLE_Z = 0.1
 """Slope of the axle of a wheel on the ground."""
-ROUND_KINDS = {"cylinder": "cylinders", "mesh": "round meshes"}
+FREE_LEVEL_AXLE_Z = 0.01
+"""The same without a drive: a sphere in place of a cambered wheel is lower."""
 MAX_WHEEL_WIDTH = 2.0
 """Width in radii; wider cylinders are rollers."""
+MIN_WHEEL_WIDTH = 0.1
+"""Width in radii of a wheel without a drive; thinner discs are propellers."""
 MAX_WHEEL_LIFT = 0.25
 """Height over the lowest point up to which a wheel without a drive is on the ground, in radii."""
 MIN_TREAD_SHARE = 0.97
@@ -186,38 +190,64 @@ def _is_driven_by_twist(drive: Drive) -> bool:
 def _find_wheels(model: Model, corners: FindCorners) -> dict[str, Joint]:
     """Find the axle of each wheel, by link: those of the drive, and passive ones on the ground."""
     drive, joints = model.drive, model.joints
-    held = {actuator.joint for actuator in drive.actuators} if drive else set()
-    names = drive.wheel_joints if drive else ()
-    driven = {joint.child: joint for joint in joints if joint.name in names}
+    if drive is None:
+        return _find_free_wheels(model, corners)
+    held = {actuator.joint for actuator in drive.actuators}
+    driven = {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
     passive = {
         joint.child: joint for joint in joints if turns_freely(joint) and joint.name not in held
     }
-    if not passive or model.is_static or (drive and not driven):
+    if not passive or not driven:
         return driven
-    wheels = _find_bottoms(model, passive | driven, corners)
-    if drive:
-        lift, ground = (
-            1.0,
-            min((low for name in driven for low, _ in wheels[name]), default=-math.inf),
-        )
-    else:
-        lift, ground = MAX_WHEEL_LIFT, find_ground_clearance(model, corners=corners)
+    wheels = _find_bottoms(model, passive | driven, corners, MAX_LEVEL_AXLE_Z)
+    ground = min((low for name in driven for low, _ in wheels[name]), default=-math.inf)
     return driven | {
         name: joint
         for name, joint in passive.items()
-        if any(low - lift * radius <= ground for low, radius in wheels[name])
+        if any(low - radius <= ground for low, radius in wheels[name])
     }
 
 
+def _find_free_wheels(model: Model, corners: FindCorners) -> dict[str, Joint]:
+    """Find the axles of the wheels of a model without a drive: what is nothing but a wheel."""
+    free = {joint.child: joint for joint in model.joints if turns_freely(joint)}
+    if model.is_static or not free:
+        return {}
+    links = {link.name: link for link in model.links}
+    rolling = {
+        name: joint
+        for name, joint in free.items()
+        # Spheres of swivel casters would let a robot creep that their edges hold.
+        if joint.parent not in free and _is_wheel(links[name], joint, corners)
+    }
+    wheels = _find_bottoms(model, rolling, corners, FREE_LEVEL_AXLE_Z)
+    ground = find_ground_clearance(model, corners=corners) if any(wheels.values()) else 0.0
+    return {
+        name: rolling[name]
+        for name, found in wheels.items()
+        if any(low - MAX_WHEEL_LIFT * radius <= ground for low, radius in found)
+    }
+
+
+def _is_wheel(link: Link, axle: Joint, corners: FindCorners) -> bool:
+    """Whether all collisions of a link become spheres, and none is a thin disc."""
+    wheels = [find_round_wheel(shape, axle, corners) for shape in link.collisions]
+    is_thick = all(
+        shape.kind == "mesh" or shape.size[1] >= MIN_WHEEL_WIDTH * shape.size[0]
+        for shape in link.collisions
+    )
+    return is_thick and bool(wheels) and all(one and one.kind == "sphere" for one in wheels)
+
+
 def _find_bottoms(
-    model: Model, axles: dict[str, Joint], corners: FindCorners
+    model: Model, axles: dict[str, Joint], corners: FindCorners, most: float
 ) -> dict[str, list[tuple[float, float]]]:
-    """Find heights [m] in the root link and radii [m] of the round shapes on level axles."""
+    """Find heights [m] in the root link and radii [m] of round shapes on axles of this slope."""
     poses = find_link_poses(model.links[0].name, model.joints)
     wheels: dict[str, list[tuple[float, float]]] = {name: [] for name in axles}
     for link in model.links:
         pose, axle = poses[link.name], axles.get(link.name)
-        if axle and abs(rotate(pose.orientation, normalize(axle.axis))[2]) <= MAX_LEVEL_AXLE_Z:
+        if axle and abs(rotate(pose.orientation, normalize(axle.axis))[2]) <= most:
             for shape in link.collisions:
                 if (wheel := find_round_wheel(shape, axle, corners)) is not None:
                     radius = wheel.size[0]

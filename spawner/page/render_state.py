@@ -13,7 +13,7 @@ from zensim.proto.messages.model_messages import Light, Model, Origin
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot, Stats
 from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
-from zensim.proto.se3 import FloatArray, from_origin, to_yaw
+from zensim.proto.se3 import FloatArray, from_origin, to_yaw, transform_points
 from zensim.proto.se3 import compose as compose_poses
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
@@ -22,6 +22,7 @@ from zensim.spawner.page.model_visuals import (
     TriangleMeshes,
     VisualTemplate,
     find_link_poses,
+    make_shape_mesh,
     make_template,
 )
 from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
@@ -41,7 +42,7 @@ HIGH_ELEVATION_RAD: Final = np.radians(42.0)
 SURROUNDINGS_M: Final = 1.0
 """What is shown around robots among walls."""
 TALL_M: Final = 0.2
-"""A static model that rises higher above the lowest robot may hide robots."""
+"""A static model that rises less above a robot hides none."""
 FLAT_M: Final = 0.1
 """A lower static model is a floor, which may be much larger than what stands on it."""
 LEAST_VIEW_M: Final = 1.2
@@ -284,10 +285,32 @@ def choose_view(
     if not robots:
         return View(np.concatenate(solids or others), HIGH_ELEVATION_RAD)
     points = frame.base[[fleet.rows[name] for name in fleet.robots], :3]
-    if not any(box[1, 2] > points[:, 2].min() + TALL_M for box in solids):
+    walls = (name for name in fleet.names if name not in robots)
+    if not any(_hides(name, boxes[name], fleet, frame, points) for name in walls):
         return View(np.concatenate([_surround(boxes[name]) for name in fleet.robots]))
     around = (points + offset for offset in _make_corners(SURROUNDINGS_M) * (1.0, 1.0, 0.0))
     return View(np.concatenate([*around]), HIGH_ELEVATION_RAD)
+
+
+def _hides(
+    name: str, box: Array, fleet: RenderedFleet, frame: RenderedFrame, points: Array
+) -> bool:
+    """Whether a part of a model is so high and near that it may hide a robot in a low view."""
+    first, *rest = fleet.templates[name].links
+    if rest or any(shape.kind == "mesh" for shape in first):
+        parts = [box]
+    else:
+        corners = (
+            transform_points(from_origin(shape.origin), make_shape_mesh(shape).vertices)
+            for shape in first
+        )
+        base = frame.base[fleet.rows[name], :7]
+        placed = [transform_points(base, one) for one in corners]
+        parts = [np.stack([one.min(axis=0), one.max(axis=0)]) for one in placed]
+    low, high = np.stack(parts, axis=1)[:, :, None]
+    gaps = np.maximum(np.maximum(low - points, points - high), 0.0)[..., :2]
+    rises = high[..., 2] - points[:, 2] - TALL_M
+    return bool((np.linalg.norm(gaps, axis=-1) * np.tan(VIEW_ELEVATION_RAD) < rises).any())
 
 
 def _surround(box: Array) -> Array:

@@ -186,6 +186,38 @@ def test_wheel_that_does_not_roll_is_unchanged(fields: dict[str, object]) -> Non
     assert links_in_contact(model) == model.links
 
 
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        (TYRE, Shape("box", (0.01, 0.01, 0.01))),
+        (msgspec.structs.replace(TYRE, size=(WHEEL_RADIUS_M, 0.004, 0.0)),),
+        (msgspec.structs.replace(TYRE, size=(WHEEL_RADIUS_M, 0.11, 0.0)),),
+        (),
+    ],
+    ids=["with a box", "propeller", "roller", "without"],
+)
+def test_link_that_is_more_or_less_than_a_wheel_is_unchanged(shapes: tuple[Shape, ...]) -> None:
+    model = msgspec.structs.replace(a_cart_on(*shapes), drive=None)
+
+    assert links_in_contact(model)[1] == model.links[1]
+
+
+def test_wheel_of_a_swivel_and_a_cambered_one_are_unchanged_without_a_drive() -> None:
+    cart = msgspec.structs.replace(a_cart_on(TYRE), drive=None)
+    wheel, *others = cart.joints
+    tilted = Origin(wheel.origin.position, tuple(from_rpy(0.02, 0.0, 0.0).tolist()))
+    cambered = (msgspec.structs.replace(wheel, origin=tilted), *others)
+    fork = Joint("swivel", "continuous", "base", "fork", axis=(0.0, 0.0, 1.0))
+    caster = msgspec.structs.replace(wheel, parent="fork")
+
+    for links, joints in (
+        (cart.links, cambered),
+        ((cart.links[0], Link("fork"), *cart.links[1:]), (fork, caster, *others)),
+    ):
+        model = msgspec.structs.replace(cart, links=links, joints=joints)
+        assert links_in_contact(model) == model.links
+
+
 def test_disc_above_the_ground_without_a_drive_is_unchanged() -> None:
     cart = msgspec.structs.replace(a_cart_on(TYRE), drive=None)
     leg = Shape("box", (0.02, 0.02, 0.02), Origin((0.0, 0.0, -0.1)))

@@ -13,7 +13,7 @@ from tests.spawner.page.builders import (
     make_snapshot,
     make_wall,
 )
-from zensim.proto.messages.model_messages import Light, Link, Model, Origin
+from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Shape
 from zensim.spawner.page.render_state import (
     MAX_MODEL_LIGHTS,
     MismatchedSnapshot,
@@ -191,7 +191,10 @@ def view_of(low: tuple[float, ...], high: tuple[float, ...], **entities: Model) 
 
 
 def test_view_shows_the_robots_only() -> None:
-    view = view_of((-9.0, -9.0, -0.1), (9.0, 9.0, 0.0), wall=make_wall(), r1=make_robot())
+    slab = Shape("box", (18.0, 18.0, 0.1), Origin((0.0, 0.0, -0.05)))
+    floor = Model("floor", (Link("base", visuals=(slab,)),))
+
+    view = view_of((-9.0, -9.0, -0.1), (9.0, 9.0, 0.0), floor=floor, r1=make_robot())
 
     assert view.points.mean(axis=0).tolist() == pytest.approx([1.0, 0.0, -0.05])
     assert len(view.points) == 8
@@ -202,6 +205,18 @@ def test_view_over_walls_is_from_above() -> None:
     view = view_of((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0), wall=make_wall(), r1=make_robot())
 
     assert view.elevation_rad > 0.7
+
+
+@pytest.mark.parametrize(("distance", "degrees"), [(3.0, 42.0), (7.0, 20.0)])
+def test_view_shows_walls_behind_robots_unless_they_may_hide_them(
+    distance: float, degrees: float
+) -> None:
+    wall = Shape("box", (0.2, 4.0, 2.0), Origin((distance, 0.0, 1.0)))
+    hall = Model("hall", (Link("base", visuals=(wall,)),))
+
+    view = view_of((-20.0, -20.0, 0.0), (20.0, 20.0, 2.0), hall=hall, r1=make_robot())
+
+    assert np.degrees(view.elevation_rad) == pytest.approx(degrees)
 
 
 def test_view_without_robots_shows_the_world() -> None:
