@@ -142,7 +142,7 @@ fuzz: setup ## damaged input for every reader and for servers with each engine, 
 	for reader in messages descriptions meshes; do \
 		$(BIN)/python -m tests.hostile.coverage_fuzz $$reader || exit 1; \
 	done
-	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
+	$(BIN)/python -m pytest -n auto -m hypothesis --hypothesis-profile=fuzz --timeout=900
 
 interop: setup ## ROS 2 peers that share no code with zensim, and rewrite docs/interop.md; needs cargo
 	$(BIN)/python -m tests.interop

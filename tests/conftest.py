@@ -20,7 +20,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Tests run on shared cores: the time of one example is not meaningful.
 # A commit passes or fails the same way each time; `make fuzz` looks for new examples.
 settings.register_profile("commit", deadline=None, derandomize=True)
-settings.register_profile("fuzz", deadline=None, max_examples=5000)
+settings.register_profile("fuzz", deadline=None, max_examples=1000)
 settings.load_profile("commit")
 
 ROOT = Path(__file__).parents[1]
