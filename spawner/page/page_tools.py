@@ -242,6 +242,8 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
       transparent 9px) !important; }
   .zensim-fold { min-height: 44px; display: flex; align-items: center; min-width: 44px; }
   .zensim-folder { padding-top: 48px; }
+  [role="button"][aria-label$="panel area"] { min-height: 44px; margin-block: -11px;
+    display: flex; align-items: center; }
 }
 """
 

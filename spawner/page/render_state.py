@@ -309,8 +309,9 @@ def _hides(
         parts = [np.stack([one.min(axis=0), one.max(axis=0)]) for one in placed]
     low, high = np.stack(parts, axis=1)[:, :, None]
     gaps = np.maximum(np.maximum(low - points, points - high), 0.0)[..., :2]
-    rises = high[..., 2] - points[:, 2] - TALL_M
-    return bool((np.linalg.norm(gaps, axis=-1) * np.tan(VIEW_ELEVATION_RAD) < rises).any())
+    rises = high[..., 2] - points[:, 2]
+    is_near = np.linalg.norm(gaps, axis=-1) * np.tan(VIEW_ELEVATION_RAD) < rises
+    return bool((is_near & (rises > TALL_M)).any())
 
 
 def _surround(box: Array) -> Array:
