@@ -39,8 +39,9 @@ class Document:
     def write(self) -> list[Section]:
         """Measure the named sections; write each into the page once it ran at full length."""
         arguments = self._parse_arguments()
-        # Child processes exit with this one, even if it is killed.
+        # Child processes end with this one, even if it is killed, and do not compile modules anew.
         os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
         is_written = not arguments.short and (arguments.write or not arguments.names)
         usual = self.short_names if arguments.short and self.short_names else self.names
         sections = []
