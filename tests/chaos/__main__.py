@@ -4,11 +4,12 @@ Sections go to docs/chaos.md with `--write`, and if none is named; the status is
 missed.
 """
 
+import sys
 from importlib import import_module
 
 from benchmarks.benchmark_report import Section
 from benchmarks.document_command import Document
-from benchmarks.figures import Figure, missed_among, table
+from benchmarks.figures import Figure, missed_among, table, written
 from benchmarks.machine import ROOT, describe_additions, time_additions_ms
 
 NAMES = (
@@ -48,7 +49,10 @@ def run_faults(name: str, *, is_short: bool) -> Section:
     """
     module = import_module(f"tests.chaos.chaos_{name}")
     additions_ms = time_additions_ms()
-    rows: list[Figure] = list(module.rows(is_short=is_short))
+    rows: list[Figure] = []
+    for row in module.rows(is_short=is_short):
+        rows.append(row)
+        sys.stderr.write(f"{row}: {written(row.value('median'))}\n")  # some run for hours
     speed = describe_additions(additions_ms + time_additions_ms())
     title, _, method = str(module.__doc__).partition("\n")
     command = f"`.venv/bin/python -m tests.chaos {name}`"
