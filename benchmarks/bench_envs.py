@@ -24,7 +24,7 @@ from zensim.api.in_process_world import get_server
 from zensim.envs import EnvKeywords, ZensimEnv, ZensimVectorEnv
 from zensim.envs.batch import Batch
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
+from zensim.sim_server.physics.mujoco.mujoco_replicas import MujocoReplicas
 
 __all__ = ["rows", "table"]
 
@@ -141,7 +141,7 @@ def _copy(world: zensim.World, worlds: int) -> Pairs:
     bodies = tuple(entity.body for entity in simulated.entities)
     replicas = simulated.engine.replicate(bodies, worlds)
     assert isinstance(replicas, MujocoReplicas)
-    return [(engine.model, engine.data) for engine in replicas.engines]
+    return [(engine.model, engine.data) for engine in replicas.worlds]
 
 
 def _make_driven(world: zensim.World, worlds: int) -> Callable[[], None]:

@@ -12,6 +12,7 @@ import msgspec
 from zensim.deploy.recorded_models import RecordedModels
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.memory_bus import MemoryBus
 from zensim.proto.messages.asset_messages import MAX_CHUNK_BYTES, GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.replay_messages import (
     ReplayReport,
@@ -24,7 +25,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, String
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
 from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.replay_catalog import GET_STATE, PAUSE, RESUME, SEEK, SET_RATE
-from zensim.proto.service_catalog import GET_ASSET, GET_MODELS, Request, Response, Service
+from zensim.proto.service_catalog import GET_ASSET, GET_MODELS, Service
 from zensim.proto.topic_catalog import SNAPSHOT
 from zensim.recording.entity_files import MESHES_FOLDER
 from zensim.recording.mcap_records import MalformedRecord
@@ -215,21 +216,6 @@ class RecordedSnapshots:
         self._samples.close()
 
 
-class AliveToken:
-    """Liveliness token of a server that is alive from the start."""
-
-    def __init__(self, key: str) -> None:
-        self._changes = [(key, True)]
-
-    def take(self) -> list[tuple[str, bool]]:
-        """Take the only change."""
-        taken, self._changes = self._changes, []
-        return taken
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
 class RecordedNetwork:
     """A recording as the network of a page: topics, files, and services that control the replay.
 
@@ -255,6 +241,9 @@ class RecordedNetwork:
         self._reader, self.world, self.now = reader, worlds[0], clock
         self._timeline = ReplayTimeline(reader.runs, accept_all)
         self.playback = RecordedPlayback(self._timeline.duration_ns, clock)
+        bus = MemoryBus(self._answer)
+        bus.token(keys.alive_server(self.world))
+        self.call, self.watch_tokens = bus.call, bus.watch_tokens
         self._has_begun = False
         self._rosters: dict[tuple[int, int], int] = {}
         self._entered: tuple[int, int, tuple[str, ...]] = (0, 0, ())
@@ -283,11 +272,6 @@ class RecordedNetwork:
         samples = RecordedSubscription(timeline, self.playback, depth)
         return RecordedSnapshots(self, samples) if key == SNAPSHOT.key(self.world) else samples
 
-    def watch_tokens(self, key: str, depth: int = 0) -> AliveToken:
-        """Watch the token of the server, which is alive."""
-        del depth
-        return AliveToken(key)
-
     def enter(self, run: int, snapshot: Snapshot) -> Snapshot:
         """Go on to a snapshot of a run; `get_models` describes its entities from here on.
 
@@ -297,26 +281,17 @@ class RecordedNetwork:
         self._entered = run, snapshot.roster, snapshot.names
         return msgspec.structs.replace(snapshot, roster=self._find_roster(run, snapshot.roster))
 
-    def call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float = 0.0,
-        request_id: str = "",
-    ) -> Response:
+    def _answer(self, service: Service[Any, Any], request: msgspec.Struct) -> msgspec.Struct:
         """Call a service of the replay, of files or of models.
 
         Raises:
             ServiceError: A recording has no such service or file, or the request is not valid.
         """
-        del world, timeout_s, request_id
         answer = self._answers.get(service.name)
         if answer is None:
             raise _refuse(service, "this is a recording, which cannot be changed")
         try:
-            return cast("Response", answer(request) or service.response())
+            return answer(request) or cast("msgspec.Struct", service.response())
         except KeyError as error:
             raise _refuse(service, f"the recording has no {error}") from error
         except (MalformedRecord, OSError, ValueError) as error:

@@ -135,6 +135,25 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         return self.name if self.scope is TopicScope.ROBOT else ""
 
 
+def _of_sensor(
+    publisher: Participant,
+    name: str,
+    message: type[msgspec.Struct],
+    description: str,
+    suffix: str = "",
+) -> TopicSpec:
+    """Specify what a sensor of a robot measures."""
+    return TopicSpec(
+        name=name,
+        suffix=suffix,
+        scope=TopicScope.ROBOT,
+        messages=(message,),
+        publisher=publisher,
+        qos=RELIABLE_5,
+        description=description,
+    )
+
+
 CLOCK = TopicSpec(
     name="clock",
     scope=TopicScope.WORLD,
@@ -395,61 +414,30 @@ JOINT_STATES = TopicSpec(
     rate_hz=30.0,
     description="positions, velocities and efforts of joints",
 )
-IMU = TopicSpec(
-    name="imu",
-    scope=TopicScope.ROBOT,
-    messages=(Imu,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="orientation, angular velocity and specific force of an IMU",
+IMU = _of_sensor(
+    Participant.AGENT, "imu", Imu, "orientation, angular velocity and specific force of an IMU"
 )
-FIX = TopicSpec(
-    name="fix",
-    scope=TopicScope.ROBOT,
-    messages=(NavSatFix,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="geodetic position of a satellite receiver",
+FIX = _of_sensor(Participant.AGENT, "fix", NavSatFix, "geodetic position of a satellite receiver")
+VEL = _of_sensor(
+    Participant.AGENT, "vel", Vector3Stamped, "velocity of a satellite receiver: east, north, up"
 )
-VEL = TopicSpec(
-    name="vel",
-    scope=TopicScope.ROBOT,
-    messages=(Vector3Stamped,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="velocity of a satellite receiver: east, north, up",
+ALTIMETER = _of_sensor(
+    Participant.AGENT, "altimeter", Altimeter, "height above that at spawn, and vertical velocity"
 )
-ALTIMETER = TopicSpec(
-    name="altimeter",
-    scope=TopicScope.ROBOT,
-    messages=(Altimeter,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="height above that at spawn, and vertical velocity",
+MAGNETIC_FIELD = _of_sensor(
+    Participant.AGENT,
+    "magnetic_field",
+    MagneticField,
+    "magnetic field in the axes of a magnetometer",
 )
-MAGNETIC_FIELD = TopicSpec(
-    name="magnetic_field",
-    scope=TopicScope.ROBOT,
-    messages=(MagneticField,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="magnetic field in the axes of a magnetometer",
+AIR_PRESSURE = _of_sensor(
+    Participant.AGENT, "air_pressure", FluidPressure, "absolute pressure of the air"
 )
-AIR_PRESSURE = TopicSpec(
-    name="air_pressure",
-    scope=TopicScope.ROBOT,
-    messages=(FluidPressure,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="absolute pressure of the air",
-)
-BUMPER_STATES = TopicSpec(
-    name="bumper_states",
-    scope=TopicScope.ROBOT,
-    messages=(ContactsState,),
-    publisher=Participant.AGENT,
-    qos=RELIABLE_5,
-    description="what the collisions of a contact sensor touch",
+BUMPER_STATES = _of_sensor(
+    Participant.AGENT,
+    "bumper_states",
+    ContactsState,
+    "what the collisions of a contact sensor touch",
 )
 ROBOT_DESCRIPTION = TopicSpec(
     name="robot_description",
@@ -459,46 +447,15 @@ ROBOT_DESCRIPTION = TopicSpec(
     qos=LATCHED,
     description="the URDF",
 )
-SCAN = TopicSpec(
-    name="scan",
-    scope=TopicScope.ROBOT,
-    messages=(LaserScan,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="ranges of a lidar",
+SCAN = _of_sensor(Participant.SENSORS, "scan", LaserScan, "ranges of a lidar")
+POINTS = _of_sensor(Participant.SENSORS, "points", PointCloud2, "points of a lidar")
+POINT_CLOUD = _of_sensor(
+    Participant.SENSORS, "point_cloud", PointCloud, "points of a lidar, as before PointCloud2"
 )
-POINTS = TopicSpec(
-    name="points",
-    scope=TopicScope.ROBOT,
-    messages=(PointCloud2,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="points of a lidar",
+RANGE = _of_sensor(
+    Participant.SENSORS, "range", Range, "least distance in the cone of a range finder"
 )
-POINT_CLOUD = TopicSpec(
-    name="point_cloud",
-    scope=TopicScope.ROBOT,
-    messages=(PointCloud,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="points of a lidar, as before PointCloud2",
-)
-RANGE = TopicSpec(
-    name="range",
-    scope=TopicScope.ROBOT,
-    messages=(Range,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="least distance in the cone of a range finder",
-)
-IMAGE_RAW = TopicSpec(
-    name="image_raw",
-    scope=TopicScope.ROBOT,
-    messages=(Image,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="colours of a camera",
-)
+IMAGE_RAW = _of_sensor(Participant.SENSORS, "image_raw", Image, "colours of a camera")
 IMAGE_TRIGGER = TopicSpec(
     name="image_trigger",
     scope=TopicScope.ROBOT,
@@ -508,57 +465,40 @@ IMAGE_TRIGGER = TopicSpec(
     is_gettable=False,
     description="request for an image of a triggered camera",
 )
-IMAGE_COMPRESSED = TopicSpec(
-    name="image_compressed",
-    scope=TopicScope.ROBOT,
-    messages=(CompressedImage,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="the same as JPEG",
+IMAGE_COMPRESSED = _of_sensor(
+    Participant.SENSORS,
+    "image_compressed",
+    CompressedImage,
+    "the same as JPEG",
     suffix="image_raw/compressed",
 )
-CAMERA_INFO = TopicSpec(
-    name="camera_info",
-    scope=TopicScope.ROBOT,
-    messages=(CameraInfo,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="calibration of a camera",
-)
-DEPTH_IMAGE = TopicSpec(
-    name="depth_image",
-    scope=TopicScope.ROBOT,
-    messages=(Image,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="distances along the optical axis",
+CAMERA_INFO = _of_sensor(Participant.SENSORS, "camera_info", CameraInfo, "calibration of a camera")
+DEPTH_IMAGE = _of_sensor(
+    Participant.SENSORS,
+    "depth_image",
+    Image,
+    "distances along the optical axis",
     suffix="depth/image_raw",
 )
-DEPTH_CAMERA_INFO = TopicSpec(
-    name="depth_camera_info",
-    scope=TopicScope.ROBOT,
-    messages=(CameraInfo,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="calibration of a depth camera",
+DEPTH_CAMERA_INFO = _of_sensor(
+    Participant.SENSORS,
+    "depth_camera_info",
+    CameraInfo,
+    "calibration of a depth camera",
     suffix="depth/camera_info",
 )
-DEPTH_POINTS = TopicSpec(
-    name="depth_points",
-    scope=TopicScope.ROBOT,
-    messages=(PointCloud2,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="points of a depth camera, with colours",
+DEPTH_POINTS = _of_sensor(
+    Participant.SENSORS,
+    "depth_points",
+    PointCloud2,
+    "points of a depth camera, with colours",
     suffix="depth/points",
 )
-LABELS = TopicSpec(
-    name="labels",
-    scope=TopicScope.ROBOT,
-    messages=(Image,),
-    publisher=Participant.SENSORS,
-    qos=RELIABLE_5,
-    description="index of the entity that each pixel shows; -1 nothing, -2 the ground",
+LABELS = _of_sensor(
+    Participant.SENSORS,
+    "labels",
+    Image,
+    "index of the entity that each pixel shows; -1 nothing, -2 the ground",
 )
 
 TOPICS: dict[str, TopicSpec] = {

@@ -14,7 +14,7 @@ from benchmarks.pybullet_floor import PlainLoop
 from benchmarks.ten_robots import CIRCLE, SPACING_M
 from zensim.api.in_process_world import get_server
 from zensim.proto.messages.model_messages import Dynamics
-from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
+from zensim.sim_server.physics.mujoco.mujoco_replicas import MujocoReplicas
 
 MUJOCO_HZ, KINEMATIC_HZ = 100.0, 20.0
 CONTROL_HZ = 20.0
@@ -65,7 +65,7 @@ def drive_mujoco(robots: int, seconds: float) -> Driven:
         bodies = tuple(entity.body for entity in simulated.entities)
         replicas = simulated.engine.replicate(bodies, max(1, robots // WORLD_ROBOTS))
         assert isinstance(replicas, MujocoReplicas)
-        pairs = [(engine.model, engine.data) for engine in replicas.engines]
+        pairs = [(engine.model, engine.data) for engine in replicas.worlds]
     wheels = np.tile(WHEEL_SPEEDS, count) * MUJOCO_HZ
 
     def step() -> None:

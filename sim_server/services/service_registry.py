@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 import msgspec
 
-from zensim.proto import service_catalog
+from zensim.proto import service_catalog as catalog
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.simulation_messages import (
     Feature,
@@ -71,88 +71,72 @@ def get_simulator_features(_: GetSimulatorFeaturesRequest) -> GetSimulatorFeatur
 
 SERVICE_TABLE = (
     make_entry(
-        service_catalog.SPAWN_ENTITY,
+        catalog.SPAWN_ENTITY,
         spawn_entity_when_parsed,
         Feature.SPAWNING,
         Feature.SPAWNING_RESOURCE_STRING,
     ),
+    make_entry(catalog.SPAWN_ENTITIES, spawn_services.spawn_entities, Feature.SPAWNING_ENTITIES),
+    make_entry(catalog.DELETE_ENTITY, entity_services.delete_entity, Feature.DELETING),
     make_entry(
-        service_catalog.SPAWN_ENTITIES, spawn_services.spawn_entities, Feature.SPAWNING_ENTITIES
-    ),
-    make_entry(service_catalog.DELETE_ENTITY, entity_services.delete_entity, Feature.DELETING),
-    make_entry(
-        service_catalog.GET_ENTITIES,
+        catalog.GET_ENTITIES,
         entity_services.get_entities,
         Feature.ENTITY_TAGS,
         Feature.ENTITY_CATEGORIES,
     ),
-    make_entry(service_catalog.GET_ENTITIES_STATES, entity_services.get_entities_states),
+    make_entry(catalog.GET_ENTITIES_STATES, entity_services.get_entities_states),
     make_entry(
-        service_catalog.GET_ENTITY_STATE,
-        entity_services.get_entity_state,
-        Feature.ENTITY_STATE_GETTING,
+        catalog.GET_ENTITY_STATE, entity_services.get_entity_state, Feature.ENTITY_STATE_GETTING
     ),
     make_entry(
-        service_catalog.SET_ENTITY_STATE,
-        entity_services.set_entity_state,
-        Feature.ENTITY_STATE_SETTING,
+        catalog.SET_ENTITY_STATE, entity_services.set_entity_state, Feature.ENTITY_STATE_SETTING
     ),
     make_entry(
-        service_catalog.GET_ENTITY_INFO,
-        entity_services.get_entity_info,
-        Feature.ENTITY_INFO_GETTING,
+        catalog.GET_ENTITY_INFO, entity_services.get_entity_info, Feature.ENTITY_INFO_GETTING
     ),
     make_entry(
-        service_catalog.SET_ENTITY_INFO,
-        entity_services.set_entity_info,
-        Feature.ENTITY_INFO_SETTING,
+        catalog.SET_ENTITY_INFO, entity_services.set_entity_info, Feature.ENTITY_INFO_SETTING
     ),
     make_entry(
-        service_catalog.GET_ENTITY_BOUNDS,
+        catalog.GET_ENTITY_BOUNDS,
         entity_services.get_entity_bounds,
         Feature.ENTITY_BOUNDS,
         Feature.ENTITY_BOUNDS_BOX,
         Feature.ENTITY_BOUNDS_CONVEX,
     ),
-    make_entry(service_catalog.CAST_RAYS, cast_rays),
-    make_entry(service_catalog.GET_MAP, get_map),
-    make_entry(service_catalog.GET_SPAWNABLES, get_spawnables, Feature.SPAWNABLES),
+    make_entry(catalog.CAST_RAYS, cast_rays),
+    make_entry(catalog.GET_MAP, get_map),
+    make_entry(catalog.GET_SPAWNABLES, get_spawnables, Feature.SPAWNABLES),
+    make_entry(catalog.GET_NAMED_POSES, world_services.get_named_poses, Feature.NAMED_POSES),
     make_entry(
-        service_catalog.GET_NAMED_POSES, world_services.get_named_poses, Feature.NAMED_POSES
+        catalog.GET_NAMED_POSE_BOUNDS, world_services.get_named_pose_bounds, Feature.POSE_BOUNDS
     ),
     make_entry(
-        service_catalog.GET_NAMED_POSE_BOUNDS,
-        world_services.get_named_pose_bounds,
-        Feature.POSE_BOUNDS,
-    ),
-    make_entry(
-        service_catalog.GET_SIMULATION_STATE,
+        catalog.GET_SIMULATION_STATE,
         simulation_services.get_simulation_state,
         Feature.SIMULATION_STATE_GETTING,
     ),
     make_entry(
-        service_catalog.SET_SIMULATION_STATE,
+        catalog.SET_SIMULATION_STATE,
         simulation_services.set_simulation_state,
         Feature.SIMULATION_STATE_SETTING,
         Feature.SIMULATION_STATE_PAUSE,
     ),
     make_entry(
-        service_catalog.STEP_SIMULATION,
+        catalog.STEP_SIMULATION,
         simulation_services.step_simulation,
         Feature.STEP_SIMULATION_SINGLE,
         Feature.STEP_SIMULATION_MULTIPLE,
     ),
     make_entry(
-        service_catalog.SIMULATE_STEPS,
-        simulation_services.simulate_steps,
-        Feature.STEP_SIMULATION_ACTION,
+        catalog.SIMULATE_STEPS, simulation_services.simulate_steps, Feature.STEP_SIMULATION_ACTION
     ),
-    make_entry(service_catalog.JOIN_LOCKSTEP, simulation_services.join_lockstep),
-    make_entry(service_catalog.CANCEL_STEPS, simulation_services.cancel_steps),
-    make_entry(service_catalog.RUN_TO, simulation_services.run_to),
-    make_entry(service_catalog.SET_SPEED, simulation_services.set_speed),
+    make_entry(catalog.JOIN_LOCKSTEP, simulation_services.join_lockstep),
+    make_entry(catalog.CANCEL_STEPS, simulation_services.cancel_steps),
+    make_entry(catalog.RUN_TO, simulation_services.run_to),
+    make_entry(catalog.SET_SPEED, simulation_services.set_speed),
     make_entry(
-        service_catalog.RESET_SIMULATION,
+        catalog.RESET_SIMULATION,
         simulation_services.reset_simulation,
         Feature.SIMULATION_RESET,
         Feature.SIMULATION_RESET_TIME,
@@ -160,47 +144,45 @@ SERVICE_TABLE = (
         Feature.SIMULATION_RESET_SPAWNED,
     ),
     make_entry(
-        service_catalog.LOAD_WORLD,
+        catalog.LOAD_WORLD,
         world_services.load_world,
         Feature.WORLD_LOADING,
         Feature.WORLD_RESOURCE_STRING,
     ),
-    make_entry(service_catalog.UNLOAD_WORLD, world_services.unload_world, Feature.WORLD_UNLOADING),
+    make_entry(catalog.UNLOAD_WORLD, world_services.unload_world, Feature.WORLD_UNLOADING),
     make_entry(
-        service_catalog.GET_CURRENT_WORLD,
-        world_services.get_current_world,
-        Feature.WORLD_INFO_GETTING,
+        catalog.GET_CURRENT_WORLD, world_services.get_current_world, Feature.WORLD_INFO_GETTING
     ),
     make_entry(
-        service_catalog.GET_AVAILABLE_WORLDS,
+        catalog.GET_AVAILABLE_WORLDS,
         world_services.get_available_worlds,
         Feature.AVAILABLE_WORLDS,
         Feature.WORLD_TAGS,
     ),
-    make_entry(service_catalog.GAZEBO_GET_ENTITY_STATE, gazebo_services.get_gazebo_state),
-    make_entry(service_catalog.GAZEBO_SET_ENTITY_STATE, gazebo_services.set_gazebo_state),
-    make_entry(service_catalog.PAUSE_PHYSICS, gazebo_services.pause_physics),
-    make_entry(service_catalog.UNPAUSE_PHYSICS, gazebo_services.unpause_physics),
-    make_entry(service_catalog.RESET_WORLD, gazebo_services.reset_world),
-    make_entry(service_catalog.GAZEBO_RESET_SIMULATION, gazebo_services.reset_gazebo_simulation),
-    make_entry(service_catalog.GET_MODEL_LIST, gazebo_services.get_model_list),
-    make_entry(service_catalog.APPLY_LINK_WRENCH, gazebo_services.apply_link_wrench),
-    make_entry(service_catalog.CLEAR_LINK_WRENCHES, gazebo_services.clear_link_wrenches),
-    make_entry(service_catalog.APPLY_JOINT_EFFORT, gazebo_services.apply_joint_effort),
-    make_entry(service_catalog.CLEAR_JOINT_EFFORTS, gazebo_services.clear_joint_efforts),
-    make_entry(service_catalog.INJECT_FAULT, inject_fault),
-    make_entry(service_catalog.GET_JOINT_PROPERTIES, gazebo_services.get_joint_properties),
-    make_entry(service_catalog.SET_JOINT_PROPERTIES, gazebo_services.set_joint_properties),
-    make_entry(service_catalog.GET_LINK_PROPERTIES, gazebo_services.get_link_properties),
-    make_entry(service_catalog.SET_LINK_PROPERTIES, gazebo_services.set_link_properties),
-    make_entry(service_catalog.GET_SIMULATOR_FEATURES, get_simulator_features),
-    make_entry(service_catalog.CLAIM_ENTITY, claim_services.claim_entity),
-    make_entry(service_catalog.CLAIM_SHARE, claim_services.claim_share),
-    make_entry(service_catalog.GET_MODELS, entity_services.get_models),
-    make_entry(service_catalog.MISSING_ASSETS, spawn_services.missing_assets),
-    make_entry(service_catalog.PUT_ASSET, spawn_services.put_asset),
-    make_entry(service_catalog.GET_ASSET, spawn_services.get_asset),
-    make_entry(service_catalog.INFO, simulation_services.get_server_info),
+    make_entry(catalog.GAZEBO_GET_ENTITY_STATE, gazebo_services.get_gazebo_state),
+    make_entry(catalog.GAZEBO_SET_ENTITY_STATE, gazebo_services.set_gazebo_state),
+    make_entry(catalog.PAUSE_PHYSICS, gazebo_services.pause_physics),
+    make_entry(catalog.UNPAUSE_PHYSICS, gazebo_services.unpause_physics),
+    make_entry(catalog.RESET_WORLD, gazebo_services.reset_world),
+    make_entry(catalog.GAZEBO_RESET_SIMULATION, gazebo_services.reset_gazebo_simulation),
+    make_entry(catalog.GET_MODEL_LIST, gazebo_services.get_model_list),
+    make_entry(catalog.APPLY_LINK_WRENCH, gazebo_services.apply_link_wrench),
+    make_entry(catalog.CLEAR_LINK_WRENCHES, gazebo_services.clear_link_wrenches),
+    make_entry(catalog.APPLY_JOINT_EFFORT, gazebo_services.apply_joint_effort),
+    make_entry(catalog.CLEAR_JOINT_EFFORTS, gazebo_services.clear_joint_efforts),
+    make_entry(catalog.INJECT_FAULT, inject_fault),
+    make_entry(catalog.GET_JOINT_PROPERTIES, gazebo_services.get_joint_properties),
+    make_entry(catalog.SET_JOINT_PROPERTIES, gazebo_services.set_joint_properties),
+    make_entry(catalog.GET_LINK_PROPERTIES, gazebo_services.get_link_properties),
+    make_entry(catalog.SET_LINK_PROPERTIES, gazebo_services.set_link_properties),
+    make_entry(catalog.GET_SIMULATOR_FEATURES, get_simulator_features),
+    make_entry(catalog.CLAIM_ENTITY, claim_services.claim_entity),
+    make_entry(catalog.CLAIM_SHARE, claim_services.claim_share),
+    make_entry(catalog.GET_MODELS, entity_services.get_models),
+    make_entry(catalog.MISSING_ASSETS, spawn_services.missing_assets),
+    make_entry(catalog.PUT_ASSET, spawn_services.put_asset),
+    make_entry(catalog.GET_ASSET, spawn_services.get_asset),
+    make_entry(catalog.INFO, simulation_services.get_server_info),
 )
 FEATURES = tuple(sorted(feature for one in SERVICE_TABLE for feature in one.features))
 

@@ -12,10 +12,6 @@ EQUIVALENTS = {
     "if abs(drift) > DRIFT_RAD_S and abs(speed) > STANDS_SHARE:: > -> >= #2": (
         "no predicted ratio is exactly STANDS_SHARE"
     ),
-    "sim_server/physics/mujoco/mujoco_engine.py: if square <= MAX_SPEED_CHANGE**2 or "
-    "np.abs(change).max() <= MAX_SPEED_CHANGE:: <= -> <": (
-        "the other comparison is true where the squares are equal"
-    ),
     "sim_server/physics/bullet/pybullet_engine.py: "
     "ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6): 1.0 -> (1.0 + 1)": (
         "Bullet normalizes the rotation"

@@ -11,12 +11,11 @@ from typing import Final
 from zensim.api.api_errors import Error
 from zensim.api.world_host import WorldHost
 from zensim.api.world_recorder import WorldRecorder
-from zensim.proto.memory_bus import MemorySubscription, MemoryTokenWatch
+from zensim.proto.memory_bus import MemoryBus, MemorySubscription, MemoryTokenWatch
 from zensim.proto.messages.input_messages import ServiceRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.network_protocols import Sample, Subscription
 from zensim.proto.newest_messages import NewestMessages
-from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.topic_catalog import CLOCK, LINK_STATES, MAP, MODEL_STATES
 from zensim.recording.entity_files import EntityFiles
 from zensim.recording.recorder import Recorder, RecorderSettings
@@ -134,6 +133,7 @@ class RecordedWorld:
         self._server = server
         self._subscriptions: list[MemorySubscription] = []
         self._clock_key = CLOCK.key(server.world.name)
+        self.call = MemoryBus(server.ask).call
 
     def subscribe(self, key: str, depth: int = 1) -> Subscription:
         """Subscribe to what is published from now on; messages of a root topic have its key."""
@@ -162,19 +162,6 @@ class RecordedWorld:
     def watch_tokens(self, key: str) -> MemoryTokenWatch:
         """Watch tokens; there are no ROS 2 nodes."""
         return self._server.network.watch_tokens(key)
-
-    def call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float = 5.0,
-        request_id: str = "",
-    ) -> Response:
-        """Call a service that changes nothing."""
-        del world, timeout_s, request_id
-        return self._server.ask(service, request)
 
     def send_clock(self) -> None:
         """Give the clock to the recorder only."""

@@ -9,7 +9,7 @@ import zensim
 from zensim.api.in_process_world import get_server
 from zensim.envs.batch import Batch
 from zensim.proto.messages.model_messages import Dynamics
-from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoReplicas
+from zensim.sim_server.physics.mujoco.mujoco_replicas import MujocoReplicas
 from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
 
 ROBOTS = 3
@@ -39,7 +39,7 @@ def break_copy(batch: Batch, world: int) -> None:
     """Give the bodies of a copy speeds that no engine can step."""
     replicas = batch._replicas  # noqa: SLF001
     assert isinstance(replicas, MujocoReplicas)
-    replicas.engines[world].data.qvel[:] = np.inf
+    replicas.worlds[world].data.qvel[:] = np.inf
 
 
 def drive_world(model: str, twists: Sequence[tuple[float, float, float]]) -> tuple[str, str]:

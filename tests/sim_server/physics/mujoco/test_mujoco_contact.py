@@ -14,6 +14,7 @@ from zensim.proto.messages.model_messages import Contact
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
     RIGID_IMPEDANCE,
+    TANGENT_ROWS,
     FrictionRows,
     LiftIteration,
     MjPlacedContacts,
@@ -71,7 +72,8 @@ def test_contact_without_friction_is_one_row() -> None:
 
 
 def one_contact(friction: float = 0.5) -> FrictionRows:
-    return FrictionRows(np.array([1], np.int32), np.array([[friction, friction]]))
+    normals = np.array([1], np.int32)
+    return FrictionRows(normals, normals + TANGENT_ROWS, np.array([[friction], [friction]]))
 
 
 @dataclass

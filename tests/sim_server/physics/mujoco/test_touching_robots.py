@@ -14,7 +14,7 @@ from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.physics.mujoco import mujoco_engine
+from zensim.sim_server.physics.mujoco import compiled_model
 from zensim.sim_server.physics.mujoco.mjcf import write_mjcf
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 
@@ -37,7 +37,7 @@ def dense(monkeypatch: pytest.MonkeyPatch) -> MujocoEngine:
         assert text.count('jacobian="sparse"') == 1
         return text.replace('jacobian="sparse"', 'jacobian="dense"'), meshes
 
-    monkeypatch.setattr(mujoco_engine, "write_mjcf", write_dense)
+    monkeypatch.setattr(compiled_model, "write_mjcf", write_dense)
     engine = MujocoEngine(DENSE)
     spawn_robots(engine)
     monkeypatch.undo()
