@@ -135,6 +135,14 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
         return self.name if self.scope is TopicScope.ROBOT else ""
 
 
+class WorldTopicSpec(TopicSpec, frozen=True, eq=False, kw_only=True):
+    """A topic that a server publishes about its world."""
+
+    scope: TopicScope = TopicScope.WORLD
+    publisher: Participant = Participant.SERVER
+    format: Format = Format.MSGPACK
+
+
 def _of_sensor(
     publisher: Participant,
     name: str,
@@ -154,108 +162,75 @@ def _of_sensor(
     )
 
 
-CLOCK = TopicSpec(
+CLOCK = WorldTopicSpec(
     name="clock",
-    scope=TopicScope.WORLD,
     messages=(WorldClock,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     root_message=Clock,
     rate_hz=100.0,
     description="simulation time",
 )
-STATS = TopicSpec(
+STATS = WorldTopicSpec(
     name="stats",
-    scope=TopicScope.WORLD,
     messages=(Stats,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     rate_hz=1.0,
     description="real-time factor, step time, counts",
 )
-SNAPSHOT = TopicSpec(
+SNAPSHOT = WorldTopicSpec(
     name="snapshot",
-    scope=TopicScope.WORLD,
     messages=(Snapshot,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     rate_hz=30.0,
     description="pose and twist of every entity",
 )
-EVENTS = TopicSpec(
+EVENTS = WorldTopicSpec(
     name="events",
-    scope=TopicScope.WORLD,
     messages=(Event,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="spawned, deleted, claimed, released, touched, reset",
 )
-AUDIT = TopicSpec(
+AUDIT = WorldTopicSpec(
     name="audit",
-    scope=TopicScope.WORLD,
     messages=(AuditRecord,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="who joined, left, changed something or was refused on a secured server",
 )
-INPUTS = TopicSpec(
+INPUTS = WorldTopicSpec(
     name="inputs",
-    scope=TopicScope.WORLD,
     messages=(Inputs,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="what changed the world, and hashes of its states, for `zensim resim`",
 )
-MODEL_STATES = TopicSpec(
+MODEL_STATES = WorldTopicSpec(
     name="model_states",
-    scope=TopicScope.WORLD,
     messages=(ModelStates,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     root_message=ModelStates,
     rate_hz=20.0,
     description="pose and twist of every entity, as Gazebo publishes them",
 )
-LINK_STATES = TopicSpec(
+LINK_STATES = WorldTopicSpec(
     name="link_states",
-    scope=TopicScope.WORLD,
     messages=(LinkStates,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     root_message=LinkStates,
     rate_hz=20.0,
     description="pose and twist of every link, as Gazebo publishes them",
 )
-STEPS_PROGRESS = TopicSpec(
+STEPS_PROGRESS = WorldTopicSpec(
     name="steps_progress",
     suffix="simulate_steps_feedback",
-    scope=TopicScope.WORLD,
     messages=(StepsProgress,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="progress of each `simulate_steps` goal",
 )
-MAP = TopicSpec(
+MAP = WorldTopicSpec(
     name="map",
-    scope=TopicScope.WORLD,
     messages=(OccupancyGrid,),
-    publisher=Participant.SERVER,
-    format=Format.MSGPACK,
     qos=LATCHED,
     root_message=OccupancyGrid,
     description="what is fixed in the world, as a map for Nav2",
 )
-CONTACTS = TopicSpec(
+CONTACTS = WorldTopicSpec(
     name="contacts",
-    scope=TopicScope.WORLD,
     messages=(Contacts,),
-    publisher=Participant.SERVER,
     subscriber=Participant.AGENT,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="contacts of all contact sensors, at each control step",
 )
@@ -323,13 +298,10 @@ VEHICLES = TopicSpec(
     is_gettable=False,
     description="orders, batteries and errors of vehicles, from `zensim vda5050`",
 )
-SCENE_STATE = TopicSpec(
+SCENE_STATE = WorldTopicSpec(
     name="scene_state",
-    scope=TopicScope.WORLD,
     messages=(SceneState,),
-    publisher=Participant.SERVER,
     subscriber=Participant.SENSORS,
-    format=Format.MSGPACK,
     is_gettable=False,
     description="poses of all entities when a lidar or camera is due",
 )

@@ -100,6 +100,10 @@ class PrintableConsole(Console):
         """Convert a text, such as the cell of a table."""
         return super().render_str(printable_lines(text), **options)
 
+    def on_broken_pipe(self) -> None:
+        """End as `exit_on_failure` does: a reader that has read enough is not a failure."""
+        raise BrokenPipeError
+
 
 progress_console = PrintableConsole(stderr=True)
 """Console of progress bars and notes, which must not mix with data."""

@@ -14,8 +14,9 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
+from zensim.proto.options.option_sources import is_exported_for_clients
 from zensim.proto.printable_text import print_lines
-from zensim.proto.setting_variables import CONFIG_VARIABLE
+from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 app = make_app("config")
 WIDTH: Final = 22
@@ -87,8 +88,12 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
         context = command.make_context(name, [] if file is None else ["--config", str(file)])
     except USAGE_ERROR as error:
         raise ValueError(error.format_message()) from error
+    is_unused = name == "up" and is_exported_for_clients(context, name_variable("up", "connect"))
     for key, option in list_options(command).items():
         source = context.get_parameter_source(option.name)
+        if option.name == "connect" and is_unused:
+            yield ShownSetting(key, _to_plain(option.default), "default", tuple(option.envvar))
+            continue
         yield ShownSetting(
             key,
             _to_plain(context.params.get(option.name)),

@@ -1,6 +1,5 @@
 """`zensim test`: run scenario files and report their checks."""
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,6 +9,7 @@ from typing import Annotated
 import msgspec
 import typer
 
+from zensim.deploy.cli.command_session import print_json
 from zensim.deploy.cli.scenario_commands import (
     FilesArgument,
     PythonOption,
@@ -19,7 +19,7 @@ from zensim.deploy.cli.scenario_commands import (
 from zensim.deploy.scenario_process import RunRequest, run_all
 from zensim.deploy.scenario_report import format_markdown, format_run, to_json, to_junit
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
-from zensim.proto.options.command_options import SetOption, flag
+from zensim.proto.options.command_options import JsonOption, SetOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.scenario.scenario_nodes import Issue
@@ -59,11 +59,11 @@ class ScenarioTestOptions:
     python: PythonOption = True
     timeout: RunTimeoutOption = None
     junit: Annotated[Path | None, _output("--junit", help="File to write JUnit XML to.")] = None
-    json_file: Annotated[Path | None, _output("--json", help="File to write JSON to.")] = None
     markdown: Annotated[
         Path | None, _output("--markdown", help="File to write a Markdown table to.")
     ] = None
     is_quiet: Annotated[bool, flag("--quiet", "-q", help="Print failures only.")] = False
+    as_json: JsonOption = False
 
 
 @app.command(
@@ -88,7 +88,7 @@ def test_scenarios(given: ScenarioTestOptions) -> None:
             run_all(requests, jobs=given.jobs, on_run=_show(done, given))
         finally:
             # What has ended is kept when the rest is interrupted.
-            runs = _compare_repeats(done, given.repeat)
+            runs = _compare_repeats(done, given)
             _write_files(runs, given)
     if not all(run.is_passed for run in runs):
         raise typer.Exit(ExitCode.FAILED)
@@ -139,15 +139,15 @@ def _make_request(scenario: Scenario, given: ScenarioTestOptions) -> RunRequest:
 def _show(done: list[RunReport], given: ScenarioTestOptions) -> Callable[[RunReport], None]:
     def show(run: RunReport) -> None:
         done.append(run)
-        if not given.is_quiet or not run.is_passed:
+        if not given.as_json and not (given.is_quiet and run.is_passed):
             print_lines("\n".join(format_run(run)))
 
     return show
 
 
-def _compare_repeats(runs: Sequence[RunReport], count: int) -> list[RunReport]:
+def _compare_repeats(runs: Sequence[RunReport], given: ScenarioTestOptions) -> list[RunReport]:
     """Fail the runs of a scenario that ended in unequal states."""
-    if count == 1:
+    if (count := given.repeat) == 1:
         return list(runs)
     found: list[RunReport] = []
     for start in range(0, len(runs), count):
@@ -155,7 +155,8 @@ def _compare_repeats(runs: Sequence[RunReport], count: int) -> list[RunReport]:
         hashes = {run.state_hash for run in own}
         if len(hashes) > 1:
             failure = f"not deterministic: {len(own)} runs ended in {len(hashes)} states"
-            print_lines(f"{own[0].name}: {failure}")
+            if not given.as_json:
+                print_lines(f"{own[0].name}: {failure}")
             own = [msgspec.structs.replace(run, error=run.error or failure) for run in own]
         found += own
     return found
@@ -164,7 +165,7 @@ def _compare_repeats(runs: Sequence[RunReport], count: int) -> list[RunReport]:
 def _write_files(runs: Sequence[RunReport], given: ScenarioTestOptions) -> None:
     if given.junit is not None:
         given.junit.write_bytes(to_junit(runs))
-    if given.json_file is not None:
-        given.json_file.write_text(json.dumps(to_json(runs), indent=1) + "\n", encoding="utf-8")
+    if given.as_json:
+        print_json(to_json(runs))
     if given.markdown is not None:
         given.markdown.write_text(format_markdown(runs), encoding="utf-8")

@@ -1,6 +1,6 @@
 """Telemetry of the server: info, clock, stats, snapshot, events, models."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import msgspec
 
@@ -207,6 +207,9 @@ EventKind = Literal[
     "touched",
     "warning",
 ]
+
+
+EVENT_KINDS: tuple[str, ...] = get_args(EventKind)
 
 
 class Event(msgspec.Struct, frozen=True):

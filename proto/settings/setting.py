@@ -8,6 +8,7 @@ of all of them are named as if they were its own.
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
+from numbers import Integral, Real
 from types import UnionType
 from typing import (
     Annotated,
@@ -204,6 +205,10 @@ def _read_value(field: SettingField, value: Any) -> object:  # noqa: ANN401
 
 
 def _check_range(field: SettingField, value: Any) -> None:  # noqa: ANN401
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (is_whole or (field.kind is float and isinstance(value, Real))):
+        what = "no number" if field.kind is float else "no whole number"
+        raise ValueError(f"`{field.name}` {str(value)[:40]!r} is {what}")
     least, most = field.setting.least, field.setting.most
     if least is None and most is None:
         return

@@ -116,10 +116,8 @@ class WorldTelemetry:
         self._pacing = pacing
         self._sensors = sensors
         self._loop_stats = pacing.loop_stats
-        self._limiters = {
-            topic: RateLimiter(topic.rate_hz)
-            for topic in (CLOCK, SNAPSHOT, MODEL_STATES, LINK_STATES)
-        }
+        timed: tuple[TopicSpec, ...] = CLOCK, SNAPSHOT, MODEL_STATES, LINK_STATES
+        self._limiters = {topic: RateLimiter(topic.rate_hz) for topic in timed}
         self._idle_limiter = RateLimiter(PAUSED_HZ)
         self._world_map = world_map
         self._make_message: dict[TopicSpec, Callable[[], msgspec.Struct]] = {

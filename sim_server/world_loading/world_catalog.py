@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from zensim.sim_server.world_loading.file_work import read_regular_file
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+LOG = logging.getLogger(__name__)
 WORLD_SUFFIXES = (".world", ".sdf")
 WORLD_SCHEMES = ("zensim://", "file://")
 ONLINE_SCHEMES = ("http://", "https://")
@@ -98,6 +100,9 @@ class WorldCatalog:
             folders: Configured by the operator.
             start: World file that the server was started with.
         """
+        for folder in folders:
+            if not folder.is_dir():
+                LOG.warning("`model_path`: there is no folder '%s'", folder)
         self._folders = tuple(folder.resolve() for folder in folders)
         self._start = start.resolve() if start is not None else None
         self._start_name = str(start)

@@ -66,6 +66,17 @@ def test_bodies_that_overlap_part_slowly(
     assert states[2, 2] == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.parametrize("make", [PyBulletEngine, MujocoEngine])
+def test_static_body_that_gets_a_velocity_has_none(make: MakeEngine) -> None:
+    with running(make, EngineConfig(STEP_NS)) as engine:
+        wall = engine.add(a_box("wall", 1.0, is_static=True), a_state())
+
+        engine.set_base_state(wall, np.array([2.0, *[0.0] * 5, 1.0, *[1.0] * 6]))
+        advance(engine, 2)
+
+        assert engine.read((wall,)).base[0].tolist() == [2.0, *[0.0] * 5, 1.0, *[0.0] * 6]
+
+
 SHELF = (((-0.5, -0.5, 0.0), (-0.4, 0.5, 1.0)), ((0.4, -0.5, 0.0), (0.5, 0.5, 1.0)))
 SOFA = (((0.0, -0.4, 0.0), (0.8, 0.4, 0.4)), ((0.6, -0.4, 0.4), (0.8, 0.4, 0.8)))
 """Two cuboids each, as lowest and highest corners."""

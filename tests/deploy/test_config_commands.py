@@ -63,3 +63,11 @@ def test_value_that_is_not_valid_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
     assert done.returncode == ExitCode.USAGE
     assert "--rtf" in done.stderr
+
+
+def test_endpoint_for_clients_is_not_that_of_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENSIM_CONNECT", "tcp/127.0.0.1:1")
+    assert show("up")["connect"]["source"] == "default"
+
+    monkeypatch.setenv("ZENSIM_UP_CONNECT", "tcp/127.0.0.1:2")
+    assert show("up")["connect"]["source"] == "variable ZENSIM_UP_CONNECT"

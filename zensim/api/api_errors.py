@@ -113,11 +113,20 @@ class Closed(Error):
     hint = "connect again"
 
 
+API_WORDS = {
+    "set allow_renaming": "give none",
+    "get_available_worlds lists all worlds": "worlds() lists all",
+}
+"""What the API calls what messages of services name."""
+
+
 def to_api_error(refusal: ServiceError) -> Error:
     """Convert the refusal of a service; its slug is the one in its message, else its code name."""
     found = SLUG.match(refusal.message)
     slug = found[1] if found else refusal.code_name.lower()
     text = refusal.message[found.end() :] if found else refusal.message
+    for theirs, ours in API_WORDS.items():
+        text = text.replace(theirs, ours)
     message, _, hint = text.partition("; ")
     kind = _choose_kind(refusal, slug)
     return kind(message or refusal.code_name, slug=slug, hint=hint, code=refusal.code)

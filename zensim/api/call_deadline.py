@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 from zensim.api.api_errors import Timeout
+from zensim.api.argument_checks import check_range
 
 LEAST_S = 0.01
 """Shortest wait: a reply that is on its way is not missed."""
@@ -19,7 +20,12 @@ def limited(timeout_s: float | None) -> Iterator[None]:
 
     Args:
         timeout_s: Wall time; None = only by the limits that they have anyway.
+
+    Raises:
+        Invalid: It is negative, or no number.
     """
+    if timeout_s is not None:
+        check_range("timeout_s", timeout_s, 0.0, math.inf)
     before_s = _DEADLINE_S.get()
     if timeout_s is None:
         yield

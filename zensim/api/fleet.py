@@ -18,6 +18,7 @@ from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.rigid_transforms import find_yaw
 
 HTML_ROWS = 10
+SHOWN_NAMES = 3
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
@@ -167,7 +168,8 @@ class Fleet:
 
     def __repr__(self) -> str:
         """Write the count and the first names."""
-        return f"Fleet({len(self)} robots: {', '.join(self._names[:3])}, …)"
+        shown = [*self._names[:SHOWN_NAMES], *["…"] * (len(self) > SHOWN_NAMES)]
+        return f"Fleet({len(self)} robots: {', '.join(shown) or 'none'})"
 
     def __reduce__(self) -> tuple[object, ...]:
         """Refuse: a handle belongs to its process.

@@ -264,6 +264,8 @@ class World(Simulation):
             Unsupported: The engine cannot restore it in this world.
         """
         self._session.check_open()
+        if not isinstance(snapshot, bytes):
+            raise Invalid(f"snapshot={str(snapshot)[:40]!r} are no bytes", hint="use snapshot()")
         with api_errors():
             self._session.load_orders(self._access.restore(snapshot))
         self._session.access.refresh()

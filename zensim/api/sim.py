@@ -1,20 +1,17 @@
 """Sim: a simulation on a server."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from zensim.api.argument_checks import check_whole
 from zensim.api.call_deadline import limited
 from zensim.api.server_access import ServerAccess
 from zensim.api.simulation import Simulation
-from zensim.api.topic import TopicCallback
 from zensim.api.world_access import api_errors
 from zensim.api.world_page import WorldPage
-from zensim.api.world_session import STEP_TIMEOUT_S, list_robot_topics
+from zensim.api.world_session import STEP_TIMEOUT_S
 from zensim.api.world_state import WorldState
 from zensim.proto.messages.agent_messages import TwistCommands
-from zensim.proto.messages.telemetry_messages import Event
-from zensim.proto.topic_catalog import WORLD_TOPICS
 
 FULL_ROLE = "full"
 PAGE_TIMEOUT_S = 30.0
@@ -44,12 +41,6 @@ class Sim(Simulation):
     def rtf(self) -> float:
         """Real-time factor of the last second; 0 while paused."""
         return self._session.state().snapshot.real_time_factor
-
-    @property
-    def agents(self) -> tuple[str, ...]:
-        """Agents that drive robots, as of the last change of the roster."""
-        entries = self._session.roster().entries.values()
-        return tuple(dict.fromkeys(entry.agent for entry in entries if entry.agent))
 
     @property
     def is_connected(self) -> bool:
@@ -119,33 +110,6 @@ class Sim(Simulation):
         with api_errors():
             self._session.client.set_speed(factor)
 
-    def topics(self) -> tuple[str, ...]:
-        """List the keys of the topics of the world and of its robots."""
-        world = [topic.key(self._access.world_name) for topic in WORLD_TOPICS]
-        robots = [
-            key
-            for entry in self._session.roster().entries.values()
-            for key, _ in list_robot_topics(entry).values()
-        ]
-        return (*world, *robots)
-
-    def on(
-        self, kind: str, queue: int = 100
-    ) -> Callable[[Callable[[Event], object]], TopicCallback[Event]]:
-        """Decorate a function that is called with the events of a kind, as `spawned`.
-
-        Args:
-            kind: Kind of event; empty = all.
-            queue: See `Topic.on`.
-        """
-
-        def subscribe(call: Callable[[Event], object]) -> TopicCallback[Event]:
-            return self.events.on(
-                lambda event: call(event) if kind in ("", event.kind) else None, queue
-            )
-
-        return subscribe
-
     def show(self, port: int = 0, *, timeout_s: float = PAGE_TIMEOUT_S) -> WorldPage:
         """Serve a 3D page of the world on this host; notebooks show it where it is the last value.
 
@@ -168,16 +132,3 @@ class Sim(Simulation):
         while self._pages:
             self._pages.pop().close()
         super().close()
-
-    @contextmanager
-    def temporary(self) -> Iterator["Sim"]:
-        """Delete at the end of the block what was spawned in it."""
-        before = set(self._session.access.refresh().row)
-        try:
-            yield self
-        finally:
-            for name in self._session.access.refresh().snapshot.names:
-                if name not in before:
-                    with api_errors():
-                        self._session.client.delete(name)
-            self._session.access.refresh()

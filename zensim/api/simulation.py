@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -40,7 +40,13 @@ from zensim.api.spawning import (
 )
 from zensim.api.undriven_spawns import UndrivenSpawns
 from zensim.api.world_access import WorldAccess, api_errors
-from zensim.api.world_session import MAX_RUN_S, WorldSession, check_protocol, make_not_found
+from zensim.api.world_session import (
+    MAX_RUN_S,
+    WorldSession,
+    check_protocol,
+    list_robot_topics,
+    make_not_found,
+)
 from zensim.proto.bounded_files import read_text_file
 from zensim.proto.messages.entity_messages import CastRaysRequest
 from zensim.proto.messages.fault_messages import (
@@ -52,19 +58,19 @@ from zensim.proto.messages.fault_messages import (
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Point, Vector3
-from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse, Info
+from zensim.proto.messages.telemetry_messages import EVENT_KINDS, Event, GetModelsResponse, Info
 from zensim.proto.network_protocols import MAX_REQUEST_BYTES
 from zensim.proto.service_catalog import INJECT_FAULT, Request, Response, Service
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.setting import change_settings
-from zensim.proto.topic_catalog import EVENTS
+from zensim.proto.topic_catalog import EVENTS, WORLD_TOPICS
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
+    from typing_extensions import Self, Unpack
 
-    from zensim.api.topic import Topic
+    from zensim.api.topic import Topic, TopicCallback
     from zensim.api.world_picture import WorldPicture
     from zensim.api.world_recorder import WorldRecorder
 
@@ -98,7 +104,7 @@ class HandleMapping(Mapping[str, Handle]):
         """
         names = self._list_names()
         if name not in names:
-            raise make_not_found(self._what, name, names)
+            raise make_not_found(self._what, str(name), names)
         return self._make(name)
 
     def __iter__(self) -> Iterator[str]:
@@ -169,7 +175,7 @@ class Simulation(ClosedOnExit):
 
     @property
     def robots(self) -> Mapping[str, Robot]:
-        """Robots by name."""
+        """Robots by name: what has a drive or joints that an agent serves."""
         return HandleMapping("robot", lambda: self._session.roster().robots, self._make_robot)
 
     @property
@@ -178,6 +184,12 @@ class Simulation(ClosedOnExit):
         return HandleMapping(
             "entity", lambda: self._session.state().snapshot.names, self._make_entity
         )
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Agents that drive robots, as of the last change of the roster."""
+        entries = self._session.roster().entries.values()
+        return tuple(dict.fromkeys(entry.agent for entry in entries if entry.agent))
 
     # Spawning
 
@@ -245,6 +257,10 @@ class Simulation(ClosedOnExit):
         refused = {one.name: one.message for one in outcomes if one.code != ResultCode.OK}
         if refused and not is_partial:
             name, reason = next(iter(refused.items()))
+            if name in self._session.access.refresh().row:
+                raise SpawnRefused(
+                    f"'{name}' exists already", slug="name.taken", hint="use another `prefix`"
+                )
             raise SpawnRefused(f"'{name}': {reason}", slug="fleet_refused")
         return [one.name for one in outcomes if one.code == ResultCode.OK], refused
 
@@ -268,6 +284,19 @@ class Simulation(ClosedOnExit):
             NotFound: There is none of this name.
         """
         self.entities[name].delete()
+
+    @contextmanager
+    def temporary(self) -> Iterator["Self"]:
+        """Delete at the end of the block what was spawned in it."""
+        before = set(self._session.access.refresh().row)
+        try:
+            yield self
+        finally:
+            for name in self._session.access.refresh().snapshot.names:
+                if name not in before:
+                    with api_errors():
+                        self._session.client.delete(name)
+            self._session.access.refresh()
 
     # Time
 
@@ -335,8 +364,8 @@ class Simulation(ClosedOnExit):
         The body sees the state at the yielded time, and its commands act from that step on.
 
         Args:
-            seconds: Simulation time; None = without end.
-            rate: [Hz]; must divide the control rate, which is the default.
+            seconds: Simulation time, rounded to whole rounds; None = without end.
+            rate: Of the rounds [Hz]; must divide the control rate, which is the default.
 
         Yields:
             Simulation time [s].
@@ -346,7 +375,7 @@ class Simulation(ClosedOnExit):
             check_range("seconds", seconds, 0.0, MAX_RUN_S)
         count = self._count_steps(rate)
         period = count * self._session.step_ns / NANOSECONDS
-        rounds = None if seconds is None else max(1, round(seconds / period))
+        rounds = None if seconds is None else round(seconds / period)
         number = 0
         while rounds is None or number < rounds:
             yield self.time
@@ -370,6 +399,7 @@ class Simulation(ClosedOnExit):
             Timeout: It was not true in time.
         """
         self._session.check_open()
+        check_range("within", within, 0.0, math.inf)
         with limited(timeout_s):
             end = self.time + within
             while not condition():
@@ -434,7 +464,7 @@ class Simulation(ClosedOnExit):
         """List the names of the worlds that `load` takes."""
         self._session.check_open()
         with api_errors():
-            return tuple(one.name for one in self._session.client.available_worlds())
+            return tuple(one.world_resource.uri for one in self._session.client.available_worlds())
 
     def state_hash(self) -> str:
         """Hash of time, names, poses, velocities and joint positions, as hexadecimal digits.
@@ -514,6 +544,16 @@ class Simulation(ClosedOnExit):
         check_text("key", key)
         return self._session.find_topic(key.removeprefix("/"), kind)
 
+    def topics(self) -> tuple[str, ...]:
+        """List the keys of the topics of the world and of its robots."""
+        world = [topic.key(self._session.access.world_name) for topic in WORLD_TOPICS]
+        robots = [
+            key
+            for entry in self._session.roster().entries.values()
+            for key, _ in list_robot_topics(entry).values()
+        ]
+        return (*world, *robots)
+
     def inject(  # noqa: PLR0913  the numbers of a fault, each with a default
         self,
         name: str,
@@ -565,6 +605,28 @@ class Simulation(ClosedOnExit):
         topic.collect()
         return topic
 
+    def on(
+        self, kind: str, queue: int = 100
+    ) -> Callable[[Callable[[Event], object]], "TopicCallback[Event]"]:
+        """Decorate a function that is called with the events of a kind, as `spawned`.
+
+        Args:
+            kind: Kind of event; empty = all.
+            queue: See `Topic.on`.
+
+        Raises:
+            NotFound: There is no such kind.
+        """
+        if kind and kind not in EVENT_KINDS:
+            raise make_not_found("kind of event", kind, EVENT_KINDS)
+
+        def subscribe(call: Callable[[Event], object]) -> "TopicCallback[Event]":
+            return self.events.on(
+                lambda event: call(event) if kind in ("", event.kind) else None, queue
+            )
+
+        return subscribe
+
     def attach(
         self, robots: Fleet, controller: Callable[[Fleet, float], npt.ArrayLike]
     ) -> Callable[[], None]:
@@ -606,6 +668,8 @@ class Simulation(ClosedOnExit):
             NotFound: There is none of one of these names.
         """
         self._session.check_open()
+        if isinstance(names, str):
+            raise Invalid(f"names={names[:40]!r} is one text", hint="give a list of names")
         known = self._session.state().row
         for name in names:
             if name not in known:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, get_args
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.proto.messages.standard_messages import PoseStamped
 from zensim.proto.names import check_name, check_namespace
-from zensim.proto.near_names import list_near
+from zensim.proto.near_names import name_choices
 from zensim.spawner.spawn.description_sources import read_model_argument
 from zensim.spawner.spawn.search_paths import collect_search_paths
 from zensim.spawner.spawn.spawn_client import SpawnPayload, add_payload, make_payload
@@ -129,8 +129,8 @@ def check_keywords(given: Mapping[str, object], kind: type) -> None:
     known = list_keywords(kind)
     for name in given:
         if name not in known:
-            near = list_near(name, known, most=3) or sorted(known)
-            raise TypeError(f"unexpected keyword argument '{name}'; use {', '.join(near)}")
+            choices = name_choices(name, sorted(known), most=len(known))
+            raise TypeError(f"unexpected keyword argument '{name}'; use {choices}")
 
 
 def list_keywords(kind: type) -> tuple[str, ...]:
@@ -141,7 +141,14 @@ def list_keywords(kind: type) -> tuple[str, ...]:
 def make_description_order(
     model: str | Path, given: DescriptionKeywords, *, is_dry_run: bool = False
 ) -> DescriptionOrder:
-    """Make the order of a description from keyword arguments; others are ignored."""
+    """Make the order of a description from keyword arguments; others are ignored.
+
+    Raises:
+        Invalid: A word is none of those that an argument takes.
+    """
+    dynamics, compat = given.get("dynamics", ""), given.get("compat", "fixed")
+    _check_word("dynamics", dynamics, get_args(Dynamics))
+    _check_word("compat", compat, get_args(Compat))
     return DescriptionOrder(
         str(model),
         dict(given.get("xacro_args") or {}),
@@ -150,10 +157,16 @@ def make_description_order(
         strict=given.get("strict", False),
         allow_missing=given.get("allow_missing", False),
         drive=given.get("drive", ""),
-        dynamics=given.get("dynamics", ""),
-        compat=given.get("compat", "fixed"),
+        dynamics=dynamics,
+        compat=compat,
         is_dry_run=is_dry_run,
     )
+
+
+def _check_word(name: str, word: str, words: Sequence[str]) -> None:
+    if word not in words:
+        choices = ", ".join(filter(None, words))
+        raise Invalid(f"{name}={str(word)[:40]!r} is unknown", hint=f"use {choices}")
 
 
 def make_spawn_pose(given: SpawnKeywords) -> SpawnPose:
@@ -232,7 +245,7 @@ def make_fleet_placements(
     names = check_name(prefix, "prefix") if prefix else derive_prefix(model)
     if poses is None:
         number = DEFAULT_COUNT if count is None else count
-        check_whole("count", number, 0, MAX_COUNT)
+        check_whole("count", number, 1, MAX_COUNT)
         layout, spacing = given.get("layout", "grid"), given.get("spacing", 1.0)
         if layout not in LAYOUTS:
             raise Invalid(f"layout {layout!r} is unknown", hint=f"use {', '.join(LAYOUTS)}")

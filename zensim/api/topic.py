@@ -1,5 +1,6 @@
 """Topic: the newest message, all messages, and callbacks; typed by its message."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound, Timeout
+from zensim.api.argument_checks import check_range, check_whole
 from zensim.api.call_deadline import limited
 from zensim.api.world_access import Message, WorldAccess
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
@@ -150,6 +152,7 @@ class Topic(Generic[Message]):
         Raises:
             Timeout: None came in time.
         """
+        check_range("timeout_s", timeout_s, 0.0, math.inf)
         deadline = time.monotonic() + timeout_s
         while True:
             with limited(timeout_s):
@@ -176,8 +179,9 @@ class Topic(Generic[Message]):
             call: Takes a message.
             queue: Messages that may wait; the oldest are dropped. 1 = only the newest.
         """
-        if not 1 <= queue <= MAX_QUEUE:
-            raise Invalid(f"queue={queue} is out of range", hint=f"use 1 to {MAX_QUEUE}")
+        if not callable(call):
+            raise Invalid(f"{str(call)[:40]} cannot be called", hint="give a function")
+        check_whole("queue", queue, 1, MAX_QUEUE)
         self.collect()
         callback = TopicCallback(self, call, queue)
         if self.is_latched and self._latest is not None:

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Closed, ConnectionLost, Invalid, NotFound, Timeout, Unsupported
+from zensim.api.argument_checks import check_range
 from zensim.api.call_deadline import check_deadline
 from zensim.api.odometry_table import TABLE_DEPTH, OdometryTable
 from zensim.api.topic import Topic, TopicDispatcher
@@ -22,7 +23,7 @@ from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.sensor_messages import CameraSensor, RaySensor
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import PROTOCOL, Info
-from zensim.proto.near_names import list_near
+from zensim.proto.near_names import name_choices
 from zensim.proto.path_following import PathController, steer_each
 from zensim.proto.se3 import to_yaw
 from zensim.proto.topic_catalog import (
@@ -52,7 +53,6 @@ STEP_TIMEOUT_S = 30.0
 MAX_RUN_S = 1e7
 MIN_WAIT_S, MAX_SLOWNESS = 10.0, 20.0
 """Wall time that a wait in a running world may take: a base, and a factor of simulation time."""
-MAX_NEAR_NAMES = 3
 MAX_ORDERS = 64
 """Orders that wait for the next step before they are merged."""
 
@@ -77,8 +77,8 @@ class Roster:
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """Names of the entities with a drive."""
-        return tuple(name for name, one in self.entries.items() if one.model.drive is not None)
+        """Names of the entities that an agent serves: with a drive, or joints, as an arm."""
+        return tuple(name for name, one in self.entries.items() if one.model.needs_agent)
 
 
 @dataclass(frozen=True)
@@ -296,8 +296,7 @@ class WorldSession:
     def run(self, seconds: float, timeout_s: float | None = None) -> WorldState:
         """Advance simulation time: by steps, or by waiting in a world that runs by itself."""
         self.check_open()
-        if not 0.0 <= seconds < MAX_RUN_S:
-            raise Invalid(f"seconds={seconds!r} is out of range", hint=f"use 0 to {MAX_RUN_S:g}")
+        check_range("seconds", seconds, 0.0, MAX_RUN_S)
         if not self.runs_by_itself:
             steps = round(seconds * NANOSECONDS / self.step_ns)
             return self.advance(steps, STEP_TIMEOUT_S if timeout_s is None else timeout_s)
@@ -485,9 +484,8 @@ def _merge_orders(
 
 def make_not_found(what: str, name: str, known: Iterable[str]) -> NotFound:
     """Make an error that names similar names."""
-    names = list(known)
-    near = list_near(name, names, most=MAX_NEAR_NAMES) or names[:MAX_NEAR_NAMES]
-    hint = f"there are {', '.join(near)}" if near else "there are none"
+    choices = name_choices(name, known)
+    hint = f"there are {choices}" if choices else "there are none"
     return NotFound(f"{what} '{name[:80]}' does not exist", hint=hint)
 
 

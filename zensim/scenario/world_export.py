@@ -11,6 +11,7 @@ import msgspec
 
 from zensim.api.api_errors import Invalid
 from zensim.api.simulation import Simulation, fetch_models
+from zensim.api.world_access import api_errors
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest
@@ -57,7 +58,7 @@ def export(sim: Simulation, file: str | Path, *, overwrite: bool = False) -> tup
 
     Raises:
         Invalid: The name has another suffix, or a file exists.
-        OSError: A file cannot be written.
+        NotFound: There is no such folder.
     """
     file = Path(file)
     if not file.name.endswith(SUFFIXES):
@@ -71,7 +72,8 @@ def export(sim: Simulation, file: str | Path, *, overwrite: bool = False) -> tup
             slug="file_exists",
             hint="use another name, or overwrite=True (`force`)",
         )
-    found.write(file)
+    with api_errors():
+        found.write(file)
     return written
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -234,7 +235,8 @@ def _load_bullet(client: int, state: bytes) -> None:
     with TemporaryDirectory() as folder:
         file = Path(folder, "state.bullet")
         file.write_bytes(state)
-        with suppress_output():
+        # It restores the rest, and fails, where a new filter has renumbered a static body.
+        with suppress_output(), suppress(pybullet.error):
             pybullet.restoreState(fileName=str(file), physicsClientId=client)
 
 
@@ -430,7 +432,8 @@ class PyBulletEngine(Engine):
         pybullet.setPhysicsEngineParameter(
             deterministicOverlappingPairs=1, physicsClientId=self._client
         )
-        return {**self.__dict__, "_saved": _save_bullet(self._client)}
+        bases = self._read(list(self._bodies)).base
+        return {**self.__dict__, "_saved": _save_bullet(self._client), "_saved_bases": bases}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state; `resume` restores that of Bullet."""
@@ -440,6 +443,7 @@ class PyBulletEngine(Engine):
         """See `Engine.resume`."""
         former, self._origin.engine = self._origin.engine, self
         _load_bullet(self._client, self.__dict__.pop("_saved"))
+        self._place_static_bodies(self.__dict__.pop("_saved_bases"))
         self._set_iterations()
         for body in sorted(former._asleep ^ self._asleep):  # noqa: SLF001
             states = ACTIVATION_ASLEEP if body in self._asleep else ACTIVATION_AWAKE
@@ -455,6 +459,19 @@ class PyBulletEngine(Engine):
         for body, known in self._bodies.items():
             self._actuate(body, self._commands.find(body, known.actuation.width))
         self._twists = twists
+
+    def _place_static_bodies(self, bases: FloatArray) -> None:
+        """Put static bodies, which Bullet may not have found, where they were.
+
+        Raises:
+            EngineRefused: A body that moves is not where it was.
+        """
+        is_off = np.abs(self._read(list(self._bodies)).base - bases).max(axis=1, initial=0.0) > 0.0
+        for row, (body, known) in enumerate(self._bodies.items()):
+            if is_off[row] and known.moves[0]:
+                raise EngineRefused(NOT_RESTORABLE)
+            if is_off[row]:
+                self._place(body, bases[row])
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; creates the collision shape of one part."""
@@ -683,7 +700,10 @@ class PyBulletEngine(Engine):
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
-        self._place(self._unique_ids[body], base)
+        number = self._unique_ids[body]
+        if not self._bodies[number].moves[0]:
+            base = np.concatenate([base[:7], np.zeros(6)])
+        self._place(number, base)
 
     def _place(self, body: int, base: FloatArray) -> None:
         state = self._com_frames.to_com_state(body, base)

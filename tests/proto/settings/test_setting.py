@@ -84,6 +84,12 @@ def test_added_setting_is_refused_by_name_when_it_is_out_of_range(wrong: int) ->
         make_settings(ExtendedSettings, {"spare_cells": wrong})
 
 
+@pytest.mark.parametrize("wrong", [1.5, True, "2", float("nan")])
+def test_added_setting_is_a_whole_number(wrong: object) -> None:
+    with pytest.raises(ValueError, match="whole number"):
+        change_settings(AddedSettings(), {"spare_cells": wrong})
+
+
 def test_value_is_passed_on_whole() -> None:
     changed = change_settings(ExtendedSettings(), {"spare_cells": 3, "step_hz": 100.0})
 

@@ -49,3 +49,13 @@ def test_world_whose_file_was_deleted_is_described_by_its_name_alone(yard: Path)
 
     assert catalog.find_start_world(str(yard), "yard").world_resource == Resource()
     assert catalog.find_start_world("empty", "elsewhere").name == "elsewhere"
+
+
+def test_folder_that_does_not_exist_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    WorldCatalog([tmp_path, tmp_path / "nope"])
+
+    assert [one.getMessage() for one in caplog.records] == [
+        f"`model_path`: there is no folder '{tmp_path / 'nope'}'"
+    ]

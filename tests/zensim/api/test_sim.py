@@ -293,6 +293,14 @@ def test_temporary_robots_are_gone_after_the_block(sim: zensim.Sim) -> None:
     assert list(sim.robots) == ["kept"]
 
 
+def test_fleet_is_written_with_all_its_names_or_an_ellipsis(sim: zensim.Sim) -> None:
+    fleet = sim.spawn_fleet("box_bot", count=4, prefix="r")
+
+    assert repr(fleet) == "Fleet(4 robots: r0, r1, r2, …)"
+    assert repr(fleet[[True, True, True, False]]) == "Fleet(3 robots: r0, r1, r2)"
+    assert repr(fleet[[False] * 4]) == "Fleet(0 robots: none)"
+
+
 def test_notebooks_get_short_tables(sim: zensim.Sim) -> None:
     fleet = sim.spawn_fleet("box_bot", count=20)
 

@@ -159,6 +159,30 @@ def list_wrong_new_names() -> Iterator[Case]:
     yield "spawn taken", of_simulation("spawn", "box_bot", name="r1"), zensim.SpawnRefused
 
 
+def list_wrong_words() -> Iterator[Case]:
+    for name, word in (("dynamics", "foo"), ("compat", "x"), ("dynamics", 3)):
+        act = of_simulation("spawn", "box_bot", **{name: word})
+        yield f"spawn {name}={word}", act, zensim.Invalid
+    yield "on spawnd", of_simulation("on", "spawnd"), zensim.NotFound
+    yield "on no function", lambda _, robot: robot.on("odom")(3), zensim.Invalid  # type: ignore[arg-type]
+    yield "fleet text", of_simulation("fleet", "r1"), zensim.Invalid
+    yield "robots[3]", lambda sim, _: sim.robots[3], zensim.NotFound  # type: ignore[index]
+    yield "run_for text", of_simulation("run_for", "1"), zensim.Invalid
+
+
+def list_waits_without_end() -> Iterator[Case]:
+    never = of_simulation("wait_until", lambda: False, NAN)
+    yield "wait_until within=nan", never, zensim.Invalid
+    for timeout_s in (NAN, -1.0):
+        wait = of_simulation("wait_until", lambda: False, timeout_s=timeout_s)
+        yield f"wait_until timeout_s={timeout_s}", wait, zensim.Invalid
+        yield f"read timeout_s={timeout_s}", read_odometry(timeout_s), zensim.Invalid
+
+
+def read_odometry(timeout_s: float) -> Act:
+    return lambda _, robot: robot.topic("odom").read(after=1e9, timeout_s=timeout_s)
+
+
 CASES = tuple(
     case
     for listed in (
@@ -169,6 +193,8 @@ CASES = tuple(
         list_wrong_rays,
         list_unknown_names,
         list_wrong_new_names,
+        list_wrong_words,
+        list_waits_without_end,
     )
     for case in listed()
 )
@@ -428,6 +454,53 @@ def test_events_say_what_happened_since_their_first_use(simulation: zensim.Simul
     assert ("spawned", "r7") in found
 
 
+def test_functions_are_called_with_events_of_a_kind(simulation: zensim.Simulation) -> None:
+    seen: list[tuple[str, str]] = []
+    simulation.on("spawned")(lambda event: seen.append((event.kind, event.entity)))
+
+    with simulation.temporary():
+        simulation.spawn("box_bot", name="r7")
+        simulation.wait_until(lambda: seen)
+        assert "r7/odom" in simulation.topics()
+
+    assert seen == [("spawned", "r7")]
+    assert not simulation.entities
+
+
+def test_every_listed_world_is_loaded_by_its_name(simulation: zensim.Simulation) -> None:
+    names = simulation.worlds()
+
+    assert "empty" in names
+    for name in (*names, "empty"):
+        simulation.load(name)
+
+
+def test_a_second_fleet_of_a_model_needs_a_prefix(simulation: zensim.Simulation) -> None:
+    simulation.spawn_fleet("box_bot", count=2)
+
+    with pytest.raises(zensim.SpawnRefused) as refused:
+        simulation.spawn_fleet("box_bot", poses=[[0.0, 9.0]])
+
+    assert refused.value.slug == "name.taken"
+    assert "prefix" in str(refused.value)
+    assert len(simulation.entities) == 2
+
+
+def test_steps_make_as_many_rounds_as_fit(simulation: zensim.Simulation) -> None:
+    begin = simulation.time
+
+    assert list(simulation.steps(0.0)) == []
+    assert len(list(simulation.steps(0.1, rate=20.0))) == 2
+    assert simulation.time - begin == pytest.approx(0.1)
+
+
+def test_names_that_are_left_out_are_counted(simulation: zensim.Simulation) -> None:
+    simulation.spawn_fleet("box_bot_lidar", count=12, prefix="own")
+
+    with pytest.raises(zensim.NotFound, match="more"):
+        simulation.robots["zzz"]
+
+
 def test_check_spawns_nothing(simulation: zensim.Simulation) -> None:
     report = simulation.check("box_bot")
 
@@ -511,6 +584,7 @@ def test_joints_of_an_arm_go_where_they_are_commanded(simulation: zensim.Simulat
     arm = simulation.spawn(EXAMPLES / "arm" / "arm_bot.urdf", name="arm")
     wanted = JointState(name=("shoulder", "elbow"), position=(0.4, -0.6))
 
+    assert isinstance(simulation.robots["arm"], zensim.Robot)
     # An agent that has just claimed the arm may subscribe after the first command.
     for _ in range(3):
         arm.topic("joint_commands").put(wanted)

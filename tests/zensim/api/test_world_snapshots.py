@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -131,6 +132,37 @@ def test_pybullet_restores_the_state_exactly_and_the_run_nearly() -> None:
         assert np.abs(states[1] - states[0]).max() < BULLET_DIFFERENCE
         assert np.array_equal(states[1], states[2])
         assert np.array_equal(states[1], states[3])
+
+
+CRATE = """<sdf version="1.9"><model name="crate"><static>true</static><link name="l">
+<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>
+</link></model></sdf>"""
+
+
+@pytest.mark.parametrize("name", ["walls", "empty"])
+def test_pybullet_restores_static_bodies_as_often_as_asked(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "crate.sdf"
+    file.write_text(CRATE, encoding="utf-8")
+    hashes = set()
+    with World(name, engine="pybullet") as world:
+        names = world.spawn_fleet("box_bot", count=3).names
+        world.spawn(file, name="crate", x=3.0)
+        snapshot = world.snapshot()
+        for change in ("none", "deleted", "moved"):
+            if change == "deleted":
+                world.delete("crate")
+            elif change == "moved":
+                world.entities["crate"].set_pose(9.0, 9.0)
+            world.fleet(names).drive(0.3, 0.1)
+            world.run_for(1.0)
+            world.restore(snapshot)
+            world.fleet(names).drive(0.3, 0.2)
+            world.run_for(1.0)
+            hashes.add(world.state_hash())
+            assert world.entities["crate"].pose.x == pytest.approx(3.0)
+            world.restore(snapshot)
+
+    assert len(hashes) == 1
 
 
 def test_pybullet_refuses_to_restore_after_a_spawn_and_leaves_the_world_as_it_is() -> None:
