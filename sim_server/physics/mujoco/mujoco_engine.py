@@ -45,9 +45,7 @@ from zensim.sim_server.physics.mujoco.mjcf import (
     SUPPORTED_JOINT_KINDS,
     SUPPORTED_SHAPE_KINDS,
 )
-from zensim.sim_server.physics.mujoco.mujoco_contact import (
-    read_contact_points,
-)
+from zensim.sim_server.physics.mujoco.mujoco_contact import read_contact_points
 from zensim.sim_server.physics.mujoco.mujoco_replicas import MujocoReplicas
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
