@@ -38,6 +38,10 @@ MAX_COPIES = 64
 COPIES_TIMEOUT_S = 10.0
 
 
+SHARED_VARIABLES = "ZENSIM_CONNECT", "ZENSIM_ENGINE", "ZENSIM_JOURNAL", "ZENSIM_WORLD"
+"""Settings of several commands."""
+
+
 class ProgramDied(Exception):
     """A process exited that is not restarted."""
 
@@ -50,7 +54,7 @@ def hide_settings(environment: Mapping[str, str], verb: str) -> dict[str, str]:
         verb: First argument of the program; empty for a module that has none.
     """
     hidden = (CONFIG_VARIABLE, *([name_variable(verb, "")] if verb else ()))
-    return {name: "" for name in environment if name.startswith(hidden)}
+    return {name: "" for name in environment if name.startswith(hidden) or name in SHARED_VARIABLES}
 
 
 @dataclass

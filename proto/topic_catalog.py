@@ -143,6 +143,13 @@ class WorldTopicSpec(TopicSpec, frozen=True, eq=False, kw_only=True):
     format: Format = Format.MSGPACK
 
 
+class RobotTopicSpec(TopicSpec, frozen=True, eq=False, kw_only=True):
+    """A topic that an agent publishes about its robot."""
+
+    scope: TopicScope = TopicScope.ROBOT
+    publisher: Participant = Participant.AGENT
+
+
 def _of_sensor(
     publisher: Participant,
     name: str,
@@ -151,10 +158,9 @@ def _of_sensor(
     suffix: str = "",
 ) -> TopicSpec:
     """Specify what a sensor of a robot measures."""
-    return TopicSpec(
+    return RobotTopicSpec(
         name=name,
         suffix=suffix,
-        scope=TopicScope.ROBOT,
         messages=(message,),
         publisher=publisher,
         qos=RELIABLE_5,
@@ -354,35 +360,27 @@ CONTROLLER_COMMANDS = TopicSpec(
     is_gettable=False,
     description="the same for the joints of one controller, below its name",
 )
-ODOM = TopicSpec(
+ODOM = RobotTopicSpec(
     name="odom",
-    scope=TopicScope.ROBOT,
     messages=(Odometry,),
-    publisher=Participant.AGENT,
     description="pose and twist of the base",
 )
-TF = TopicSpec(
+TF = RobotTopicSpec(
     name="tf",
-    scope=TopicScope.ROBOT,
     messages=(TFMessage,),
-    publisher=Participant.AGENT,
     root_message=TFMessage,
     description="transforms of the base and of moving joints",
 )
-TF_STATIC = TopicSpec(
+TF_STATIC = RobotTopicSpec(
     name="tf_static",
-    scope=TopicScope.ROBOT,
     messages=(TFMessage,),
-    publisher=Participant.AGENT,
     qos=LATCHED,
     root_message=TFMessage,
     description="transforms of fixed joints",
 )
-JOINT_STATES = TopicSpec(
+JOINT_STATES = RobotTopicSpec(
     name="joint_states",
-    scope=TopicScope.ROBOT,
     messages=(JointState,),
-    publisher=Participant.AGENT,
     rate_hz=30.0,
     description="positions, velocities and efforts of joints",
 )
@@ -411,11 +409,9 @@ BUMPER_STATES = _of_sensor(
     ContactsState,
     "what the collisions of a contact sensor touch",
 )
-ROBOT_DESCRIPTION = TopicSpec(
+ROBOT_DESCRIPTION = RobotTopicSpec(
     name="robot_description",
-    scope=TopicScope.ROBOT,
     messages=(String,),
-    publisher=Participant.AGENT,
     qos=LATCHED,
     description="the URDF",
 )

@@ -155,6 +155,7 @@ def test_settings_of_the_started_command_are_hidden_and_others_stay() -> None:
         "ZENSIM_CONFIG": "a.yaml",
         "ZENSIM_SENSORS_RUN_METRICS": "9464",
         "ZENSIM_SERVE_RTF": "2",
+        "ZENSIM_ENGINE": "mujoco",
         "ZENSIM_TOKEN": "@file",
         "PATH": "/bin",
     }
@@ -162,8 +163,9 @@ def test_settings_of_the_started_command_are_hidden_and_others_stay() -> None:
     assert hide_settings(given, "sensors") == {
         "ZENSIM_CONFIG": "",
         "ZENSIM_SENSORS_RUN_METRICS": "",
+        "ZENSIM_ENGINE": "",
     }
-    assert hide_settings(given, "") == {"ZENSIM_CONFIG": ""}
+    assert hide_settings(given, "") == {"ZENSIM_CONFIG": "", "ZENSIM_ENGINE": ""}
 
 
 def test_output_of_a_program_is_readable(supervisor: Supervisor) -> None:
