@@ -547,11 +547,8 @@ class Simulation(ClosedOnExit):
     def topics(self) -> tuple[str, ...]:
         """List the keys of the topics of the world and of its robots."""
         world = [topic.key(self._session.access.world_name) for topic in WORLD_TOPICS]
-        robots = [
-            key
-            for entry in self._session.roster().entries.values()
-            for key, _ in list_robot_topics(entry).values()
-        ]
+        entries = self._session.roster().entries.values()
+        robots = [key for one in entries for key, _ in list_robot_topics(one).values()]
         return (*world, *robots)
 
     def inject(  # noqa: PLR0913  the numbers of a fault, each with a default

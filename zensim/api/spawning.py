@@ -144,8 +144,10 @@ def make_description_order(
     """Make the order of a description from keyword arguments; others are ignored.
 
     Raises:
-        Invalid: A word is none of those that an argument takes.
+        Invalid: An argument has a wrong type, or is none of the words that it takes.
     """
+    if not isinstance(model, str | Path):
+        raise Invalid(f"model={str(model)[:40]} is no text", hint="give a name or a file")
     dynamics, compat = given.get("dynamics", ""), given.get("compat", "fixed")
     _check_word("dynamics", dynamics, get_args(Dynamics))
     _check_word("compat", compat, get_args(Compat))

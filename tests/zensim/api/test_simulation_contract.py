@@ -163,6 +163,7 @@ def list_wrong_words() -> Iterator[Case]:
     for name, word in (("dynamics", "foo"), ("compat", "x"), ("dynamics", 3)):
         act = of_simulation("spawn", "box_bot", **{name: word})
         yield f"spawn {name}={word}", act, zensim.Invalid
+    yield "spawn_fleet(2, model)", of_simulation("spawn_fleet", 2, "box_bot"), zensim.Invalid
     yield "on spawnd", of_simulation("on", "spawnd"), zensim.NotFound
     yield "on no function", lambda _, robot: robot.on("odom")(3), zensim.Invalid  # type: ignore[arg-type]
     yield "fleet text", of_simulation("fleet", "r1"), zensim.Invalid
