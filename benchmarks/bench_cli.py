@@ -58,11 +58,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
                     _spawn_s(server.client, robot, number) for number in range(rounds + 1)
                 )
                 yield Figure(what=f"first spawn, {count} {kind}", unit="s", samples=(first_s,))
-                yield Figure(
-                    what=f"warm spawn, {count} {kind}",
-                    unit="s",
-                    samples=tuple(later_s),
-                )
+                yield Figure(what=f"warm spawn, {count} {kind}", unit="s", samples=tuple(later_s))
 
 
 def _measure_commands(
@@ -83,9 +79,7 @@ def _measure_commands(
                 samples[what].append(_measure_cpu_s(arguments, None if is_short else cache))
     for what in commands:
         yield Figure(
-            what=what,
-            unit="CPU s",
-            samples=tuple(samples[what] if is_short else samples[what][1:]),
+            what=what, unit="CPU s", samples=tuple(samples[what] if is_short else samples[what][1:])
         )
 
 

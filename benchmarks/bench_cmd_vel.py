@@ -34,9 +34,5 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         took = [response_ms(first, phase, (-1) ** i * SPEED) for i in range(count)]
         with echo(found.server.bus) as asker:
             floor = [milliseconds(asker.ping) for _ in range(count)]
-    yield Figure(
-        what="put of cmd_vel to odom that moves",
-        unit="ms",
-        samples=tuple(took),
-    )
+    yield Figure(what="put of cmd_vel to odom that moves", unit="ms", samples=tuple(took))
     yield Figure(what="floor: put, and put back", unit="ms", samples=tuple(floor))

@@ -77,11 +77,7 @@ def _driven(what: str, arguments: Sequence[str], *, is_short: bool) -> Iterator[
         spawner, stats = Spawner(found.server.client), stats_of(found)
         quiet = observe(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
         busy = observe(stats, lambda: spawner.work(count))
-    yield Figure(
-        what=f"spawn request to reply, {what}",
-        unit="ms",
-        samples=tuple(spawner.spawn_ms),
-    )
+    yield Figure(what=f"spawn request to reply, {what}", unit="ms", samples=tuple(spawner.spawn_ms))
     yield Figure(
         what=f"delete request to reply, {what}", unit="ms", samples=tuple(spawner.delete_ms)
     )

@@ -67,9 +67,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     last = tuple(sample for world in spawns for sample in world[-LAST:])
     yield Figure(what="put the first box_bot into the engine", unit="ms", samples=first)
     yield Figure(
-        what=f"put box_bot number {run_fleet_users} into the engine",
-        unit="ms",
-        samples=last,
+        what=f"put box_bot number {run_fleet_users} into the engine", unit="ms", samples=last
     )
 
 
@@ -106,11 +104,7 @@ def _hulls(repeats: int) -> Iterator[Figure]:
         yield Figure(what=f"hull of a {what}", unit="ms", samples=tuple(hulls))
         yield Figure(what=f"floor: read and write a {what}", unit="ms", samples=tuple(floor))
         ratios = tuple(one / other for one, other in zip(hulls, floor, strict=True))
-        yield Figure(
-            what=f"the first over the second, {corners} corners",
-            unit="",
-            samples=ratios,
-        )
+        yield Figure(what=f"the first over the second, {corners} corners", unit="", samples=ratios)
 
 
 def _find_hull_of(data: bytes) -> None:

@@ -64,10 +64,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def record(robots: int, seconds: float, *options: str) -> Recorded:
     """Record what a source publishes."""
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        publishing(robots, HZ, seconds) as source,
-    ):
+    with tempfile.TemporaryDirectory() as folder, publishing(robots, HZ, seconds) as source:
         path = Path(folder) / "run.mcap"
         arguments = (*TOPICS, *options, "-o", str(path), "--connect", source.endpoint, "--json")
         with running("record", *arguments, "--quiet") as process:
@@ -120,11 +117,7 @@ def _thinned(robots: int, seconds: float) -> Iterator[Figure]:
     expected = robots * TOPICS_OF_ROBOT * KEPT_HZ * seconds
     label = f"{robots} robots, --rate 10"
     yield Figure(what=f"published, {label}", unit="1/s", samples=(found.published_per_s,))
-    yield Figure(
-        what=f"kept of what is to be kept, {label}",
-        unit="",
-        samples=(kept / expected,),
-    )
+    yield Figure(what=f"kept of what is to be kept, {label}", unit="", samples=(kept / expected,))
     yield Figure(what=f"recorder, {label}", unit="cores", samples=(found.cores,))
 
 
@@ -144,11 +137,7 @@ def _terminated(robots: int) -> Iterator[Figure]:
     label = f"SIGTERM to the end, {topics} topics"
     yield Figure(what=label, unit="s", samples=(took_s,))
     is_whole = not info.unclosed and len(info.topics) == topics
-    yield Figure(
-        what="whole files after it",
-        unit="",
-        samples=(float(is_whole),),
-    )
+    yield Figure(what="whole files after it", unit="", samples=(float(is_whole),))
 
 
 def _paired(engine: str) -> Iterator[Figure]:

@@ -117,9 +117,7 @@ def _compare(*, is_short: bool) -> Iterator[Figure]:
     )
     p99 = [quantile(sorted(response[is_secure]), 0.99) for is_secure in (False, True)]
     yield Figure(
-        what=f"{count}: p99 of cmd_vel to odom, secured / open",
-        unit="",
-        samples=(p99[1] / p99[0],),
+        what=f"{count}: p99 of cmd_vel to odom, secured / open", unit="", samples=(p99[1] / p99[0],)
     )
 
 
@@ -215,9 +213,7 @@ def _revoke(found: Deployment, robots: int, *, is_short: bool) -> Iterator[Figur
         samples=tuple(one.jump_m for one in seen),
     )
     yield Figure(
-        what="real-time factor meanwhile",
-        unit="",
-        samples=tuple(one.factor for one in seen),
+        what="real-time factor meanwhile", unit="", samples=tuple(one.factor for one in seen)
     )
 
 

@@ -104,11 +104,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         stats = stats_of(found)
         quiet = observe(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
         busy = observe(stats, lambda: spawner.work(count))
-    yield Figure(
-        what="spawn request to reply",
-        unit="ms",
-        samples=tuple(spawner.spawn_ms),
-    )
+    yield Figure(what="spawn request to reply", unit="ms", samples=tuple(spawner.spawn_ms))
     yield _floor(robots, count)
     yield Figure(what="delete request to reply", unit="ms", samples=tuple(spawner.delete_ms))
     yield from _steps("without spawns", quiet)

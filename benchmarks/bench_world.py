@@ -156,7 +156,7 @@ def _time_engine(robots: int, count: int) -> list[float]:
         settings=ServerSettings(
             start=StartSettings(paused=True),
             physics=EngineSettings(engine="mujoco", engine_workers=0),
-        ),
+        )
     )
     server = WorldHost(config)
     simulation = Simulation(InProcessAccess(server))

@@ -164,9 +164,7 @@ def _inspect(label: str, file: Path, engine: EngineName) -> Figure:
     if found.fault or found.moving:
         raise RuntimeError(f"{label}: {found.fault or found.moving}")
     return Figure(
-        what=f"{label}, {engine}",
-        unit="s",
-        samples=(found.load_s + found.settle_wall_s,),
+        what=f"{label}, {engine}", unit="s", samples=(found.load_s + found.settle_wall_s,)
     )
 
 

@@ -168,10 +168,7 @@ def _measure_bounces(engine: str) -> Iterator[Figure]:
     for kind in ("URDF", "SDF"):
         found = [(_find_rebound(engine, kind, e) / e - 1.0) * 100.0 for e in RESTITUTIONS]
         yield deviation(engine, f"speed of a rebound, off e of the impact, {kind}", "%", found, 3.0)
-    silent = [
-        _find_rebound(engine, "URDF", 0.0),
-        _find_rebound(engine, "URDF", 0.8, threshold=1e5),
-    ]
+    silent = [_find_rebound(engine, "URDF", 0.0), _find_rebound(engine, "URDF", 0.8, threshold=1e5)]
     yield deviation(engine, "rebound without e, or below the threshold", "", silent, 0.03)
 
 

@@ -15,11 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 import msgspec
 from websockets.sync.client import ClientConnection
 
-from tests.integration.page_client import (
-    connect_page,
-    encode_camera,
-    read_messages,
-)
+from tests.integration.page_client import connect_page, encode_camera, read_messages
 from zensim.proto.parent_death import die_with_supervisor
 from zensim.proto.web_access import TOKEN_NAME, name_cookie
 

@@ -46,11 +46,7 @@ class Fleet:
 
 
 def spawn(
-    client: SimClient,
-    count: int,
-    *,
-    prefix: str = "box_bot",
-    at: tuple[float, float] = (0.0, 0.0),
+    client: SimClient, count: int, *, prefix: str = "box_bot", at: tuple[float, float] = (0.0, 0.0)
 ) -> None:
     """Spawn robots on a grid with this origin [m], all between two steps.
 

@@ -183,9 +183,7 @@ def _choose_tag(row: CheckRow) -> str:
 
 def _add_case(suite: ElementTree.Element, row: CheckRow) -> None:
     case = ElementTree.SubElement(
-        suite,
-        "testcase",
-        {"name": to_xml(row.name), "classname": to_xml(row.robot.path)},
+        suite, "testcase", {"name": to_xml(row.name), "classname": to_xml(row.robot.path)}
     )
     if tag := _choose_tag(row):
         ElementTree.SubElement(

@@ -18,9 +18,7 @@ from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic, gid_from_en
 from zensim.proto.topic_endpoints import make_cache_key
 
 ROSOUT: Final = RosTopic(
-    "rosout",
-    RosoutLog,
-    Qos(durability="transient_local", depth=1000, lifespan_ns=10 * NANOSECONDS),
+    "rosout", RosoutLog, Qos(durability="transient_local", depth=1000, lifespan_ns=10 * NANOSECONDS)
 )
 """The profile of rcl_qos_profile_rosout_default."""
 LOGGER: Final = logging.getLogger("zensim")

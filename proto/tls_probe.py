@@ -151,8 +151,7 @@ def _shake_hands(
                 "expired", f"the certificate of {endpoint} has expired; its operator must renew it"
             ) from error
         raise ProbeFailed(
-            "not_signed",
-            f"the certificate of {endpoint} is not valid: {error.verify_message}",
+            "not_signed", f"the certificate of {endpoint} is not valid: {error.verify_message}"
         ) from error
     except OSError as error:
         raise ProbeFailed(

@@ -176,10 +176,7 @@ CLOCK = WorldTopicSpec(
     description="simulation time",
 )
 STATS = WorldTopicSpec(
-    name="stats",
-    messages=(Stats,),
-    rate_hz=1.0,
-    description="real-time factor, step time, counts",
+    name="stats", messages=(Stats,), rate_hz=1.0, description="real-time factor, step time, counts"
 )
 SNAPSHOT = WorldTopicSpec(
     name="snapshot",
@@ -360,11 +357,7 @@ CONTROLLER_COMMANDS = TopicSpec(
     is_gettable=False,
     description="the same for the joints of one controller, below its name",
 )
-ODOM = RobotTopicSpec(
-    name="odom",
-    messages=(Odometry,),
-    description="pose and twist of the base",
-)
+ODOM = RobotTopicSpec(name="odom", messages=(Odometry,), description="pose and twist of the base")
 TF = RobotTopicSpec(
     name="tf",
     messages=(TFMessage,),
@@ -410,10 +403,7 @@ BUMPER_STATES = _of_sensor(
     "what the collisions of a contact sensor touch",
 )
 ROBOT_DESCRIPTION = RobotTopicSpec(
-    name="robot_description",
-    messages=(String,),
-    qos=LATCHED,
-    description="the URDF",
+    name="robot_description", messages=(String,), qos=LATCHED, description="the URDF"
 )
 SCAN = _of_sensor(Participant.SENSORS, "scan", LaserScan, "ranges of a lidar")
 POINTS = _of_sensor(Participant.SENSORS, "points", PointCloud2, "points of a lidar")

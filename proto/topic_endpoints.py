@@ -298,12 +298,7 @@ class LazyTopicPublisher:
     """Publisher that encodes only for subscribers, and replies to get with the last value."""
 
     def __init__(
-        self,
-        topics: TopicFactory,
-        topic: RosTopic,
-        value: MakePayload,
-        *,
-        is_shared: bool = False,
+        self, topics: TopicFactory, topic: RosTopic, value: MakePayload, *, is_shared: bool = False
     ) -> None:
         """Declare the topic.
 

@@ -63,11 +63,7 @@ OPEN_ACCESS: Final = PageAccess()
 
 
 def is_own_origin(
-    hosts: Sequence[str],
-    origins: Sequence[str],
-    *,
-    bound_to: str,
-    admitted: Collection[str] = (),
+    hosts: Sequence[str], origins: Sequence[str], *, bound_to: str, admitted: Collection[str] = ()
 ) -> bool:
     """Whether a request comes from a page of this server, or of an admitted origin.
 

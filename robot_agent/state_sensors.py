@@ -263,11 +263,7 @@ class ImuRows(StateSensor):
         back = conjugate(now.orientation)
         (ux, uy, uz), (vx, vy, vz) = before.linear, now.linear
         gx, gy, gz = self._environment.gravity
-        force = (
-            (vx - ux) / elapsed_s - gx,
-            (vy - uy) / elapsed_s - gy,
-            (vz - uz) / elapsed_s - gz,
-        )
+        force = ((vx - ux) / elapsed_s - gx, (vy - uy) / elapsed_s - gy, (vz - uz) / elapsed_s - gz)
         exact = np.stack([*rotate(back, now.angular), *rotate(back, force)], axis=1)
         return np.concatenate([self._find_orientations(now), self.add_noise(exact)], axis=1)
 
@@ -331,9 +327,7 @@ class AltimeterRows(StateSensor):
 
     outputs: ClassVar = {
         ALTIMETER.name: SensorOutput(
-            ALTIMETER,
-            ("vertical_position", "vertical_velocity", "vertical_reference"),
-            slice(0, 3),
+            ALTIMETER, ("vertical_position", "vertical_velocity", "vertical_reference"), slice(0, 3)
         )
     }
 

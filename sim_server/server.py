@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 
 def run_server(
-    config: ServerConfig,
-    stop: StopFlag,
-    on_ready: Callable[[Bus, ServerConfig], None],
+    config: ServerConfig, stop: StopFlag, on_ready: Callable[[Bus, ServerConfig], None]
 ) -> None:
     """Run a server until a signal stops it; it finishes the requests that it has accepted.
 

@@ -77,10 +77,7 @@ def a_cart(name: str = "cart") -> Model:
     """A two-wheeled robot whose joints are in reverse order of its drive."""
     wheel = Link("", a_body(0.2, 2.5e-4), (Shape("sphere", (WHEEL_RADIUS_M, 0.0, 0.0)),))
     caster = Shape(
-        "sphere",
-        (0.02, 0.0, 0.0),
-        Origin((0.1, 0.0, 0.02 - WHEEL_RADIUS_M + 0.0005)),
-        friction=0.0,
+        "sphere", (0.02, 0.0, 0.0), Origin((0.1, 0.0, 0.02 - WHEEL_RADIUS_M + 0.0005)), friction=0.0
     )
     back = Shape(
         "sphere",

@@ -65,8 +65,7 @@ def expect(
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
     config.addinivalue_line(
-        "markers",
-        "zensim(world, record, **keywords of World): the simulation of a test",
+        "markers", "zensim(world, record, **keywords of World): the simulation of a test"
     )
 
 

@@ -31,9 +31,7 @@ class Verb(NamedTuple):
 
 VERBS: dict[str, Verb] = {
     "up": Verb(
-        "Programs",
-        "up_commands",
-        "Start a server, robots, agents and the viewer on this host.",
+        "Programs", "up_commands", "Start a server, robots, agents and the viewer on this host."
     ),
     "down": Verb("Programs", "down_commands", "End what 'zensim up' runs on this host."),
     "serve": Verb("Programs", "serve_commands", "Start a simulation server."),
@@ -44,25 +42,17 @@ VERBS: dict[str, Verb] = {
         "Create, list, revoke and show join tokens of a secured server.",
     ),
     "join": Verb(
-        "Programs",
-        "join_commands",
-        "Keep a join token for later connections to its server.",
+        "Programs", "join_commands", "Keep a join token for later connections to its server."
     ),
     "agent": Verb(
-        "Programs",
-        "agent_commands",
-        "Drive robots: subscribe to cmd_vel, publish odom and tf.",
+        "Programs", "agent_commands", "Drive robots: subscribe to cmd_vel, publish odom and tf."
     ),
     "sensors": Verb(
         "Programs",
         "sensor_program",
         "List sensors, or run a process that publishes lidars and cameras.",
     ),
-    "view": Verb(
-        "Programs",
-        "page_program",
-        "Serve a web page that shows the world in 3D.",
-    ),
+    "view": Verb("Programs", "page_program", "Serve a web page that shows the world in 3D."),
     "spawn": Verb("Entities", "spawn_commands", "Spawn one robot or object."),
     "fleet": Verb("Entities", "spawn_commands", "Spawn several robots of one model."),
     "list": Verb("Entities", "entity_commands", "List entities."),
@@ -73,11 +63,7 @@ VERBS: dict[str, Verb] = {
         "set_commands",
         "Set pose, velocity, category, tags or description of an entity.",
     ),
-    "map": Verb(
-        "Simulation",
-        "map_commands",
-        "Write a map of the world for Nav2's map_server.",
-    ),
+    "map": Verb("Simulation", "map_commands", "Write a map of the world for Nav2's map_server."),
     "pause": Verb("Simulation", "simulation_commands", "Pause the simulation."),
     "play": Verb("Simulation", "simulation_commands", "Start or resume the simulation."),
     "stop": Verb(
@@ -86,68 +72,30 @@ VERBS: dict[str, Verb] = {
         "Reset the simulation, delete spawned entities, and stop.",
     ),
     "reset": Verb(
-        "Simulation",
-        "simulation_commands",
-        "Reset time, entity states and spawned entities.",
+        "Simulation", "simulation_commands", "Reset time, entity states and spawned entities."
     ),
     "step": Verb(
-        "Simulation",
-        "simulation_commands",
-        "Advance a paused simulation by a number of steps.",
+        "Simulation", "simulation_commands", "Advance a paused simulation by a number of steps."
     ),
     "run-to": Verb(
-        "Simulation",
-        "simulation_commands",
-        "Advance a paused simulation to a given time.",
+        "Simulation", "simulation_commands", "Advance a paused simulation to a given time."
     ),
-    "rtf": Verb(
-        "Simulation",
-        "simulation_commands",
-        "Get or set the target real-time factor.",
-    ),
-    "world": Verb(
-        "Simulation",
-        "inspect_commands",
-        "Load, unload, list and inspect worlds.",
-    ),
+    "rtf": Verb("Simulation", "simulation_commands", "Get or set the target real-time factor."),
+    "world": Verb("Simulation", "inspect_commands", "Load, unload, list and inspect worlds."),
     "drive": Verb("Topics", "topic_commands", "Publish velocity commands to a robot."),
-    "teleop": Verb(
-        "Topics",
-        "teleop_commands",
-        "Drive robots by keyboard and gamepad.",
-    ),
+    "teleop": Verb("Topics", "teleop_commands", "Drive robots by keyboard and gamepad."),
     "topic": Verb(
-        "Topics",
-        "topic_group_commands",
-        "List, inspect, print, measure and publish topics.",
+        "Topics", "topic_group_commands", "List, inspect, print, measure and publish topics."
     ),
     "echo": Verb("Topics", "topic_commands", "Print the messages of a topic."),
     "hz": Verb("Topics", "topic_commands", "Measure the message rate of a topic."),
-    "foxglove": Verb(
-        "Programs",
-        "foxglove_commands",
-        "Serve the topics of a world to Foxglove.",
-    ),
+    "foxglove": Verb("Programs", "foxglove_commands", "Serve the topics of a world to Foxglove."),
     "vda5050": Verb(
-        "Programs",
-        "vda_commands",
-        "Serve robots as VDA 5050 vehicles to a fleet manager, by MQTT.",
+        "Programs", "vda_commands", "Serve robots as VDA 5050 vehicles to a fleet manager, by MQTT."
     ),
-    "record": Verb(
-        "Recordings",
-        "record_commands",
-        "Record topics to MCAP files.",
-    ),
-    "replay": Verb(
-        "Recordings",
-        "replay_commands",
-        "Publish a recording again, with a clock.",
-    ),
-    "bag": Verb(
-        "Recordings",
-        "bag_commands",
-        "Inspect and recover recordings.",
-    ),
+    "record": Verb("Recordings", "record_commands", "Record topics to MCAP files."),
+    "replay": Verb("Recordings", "replay_commands", "Publish a recording again, with a clock."),
+    "bag": Verb("Recordings", "bag_commands", "Inspect and recover recordings."),
     "resim": Verb(
         "Recordings",
         "resim_commands",
@@ -160,9 +108,7 @@ VERBS: dict[str, Verb] = {
         "Show robots and processes: rates, real-time factor, CPU time, memory.",
     ),
     "stats": Verb(
-        "Diagnostics",
-        "simulation_commands",
-        "Print the counts and times of the server.",
+        "Diagnostics", "simulation_commands", "Print the counts and times of the server."
     ),
     "doctor": Verb("Diagnostics", "doctor_commands", "Diagnose connection problems."),
     "model": Verb(
@@ -176,30 +122,18 @@ VERBS: dict[str, Verb] = {
         "Spawn and drive the robots of a folder, and print what they do.",
     ),
     "test": Verb(
-        "Scenarios",
-        "scenario_test_commands",
-        "Run scenario files and report their checks.",
+        "Scenarios", "scenario_test_commands", "Run scenario files and report their checks."
     ),
     "sweep": Verb(
-        "Scenarios",
-        "sweep_commands",
-        "Run a scenario with many values, seeds and repeats.",
+        "Scenarios", "sweep_commands", "Run a scenario with many values, seeds and repeats."
     ),
     "scenario": Verb(
         "Scenarios",
         "scenario_commands",
         "Check scenario files, print their schema, list the shipped ones.",
     ),
-    "export": Verb(
-        "Scenarios",
-        "export_commands",
-        "Write a running world as a scenario file.",
-    ),
-    "journal": Verb(
-        "Diagnostics",
-        "journal_commands",
-        "Show, verify or export a server journal.",
-    ),
+    "export": Verb("Scenarios", "export_commands", "Write a running world as a scenario file."),
+    "journal": Verb("Diagnostics", "journal_commands", "Show, verify or export a server journal."),
     "config": Verb(
         "Diagnostics",
         "config_commands",

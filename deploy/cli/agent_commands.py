@@ -55,7 +55,7 @@ class AgentOptions(RosTfOptions):
     cmd_vel_timeout: Annotated[
         float,
         seconds(
-            help=r"Stop a robot this long after its last cmd_vel \[s, simulation time]; 0 = never.",
+            help=r"Stop a robot this long after its last cmd_vel \[s, simulation time]; 0 = never."
         ),
     ] = 0.5
     rates: RateOverrides = AS_DESCRIBED

@@ -101,16 +101,11 @@ def recover_command(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="New file.",
-            show_default="FILE_recovered.mcap",
+            "--output", "-o", metavar="FILE", help="New file.", show_default="FILE_recovered.mcap"
         ),
     ] = None,
     any_size: Annotated[
-        bool,
-        flag("--any-size", help="Accept chunks of any size in all, which may take long."),
+        bool, flag("--any-size", help="Accept chunks of any size in all, which may take long.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -226,11 +226,7 @@ def _make_table(listing: EntityListing) -> Table:
 
 @app.command()
 def inspect(
-    name: EntityName,
-    *,
-    frame: FrameOption = "",
-    as_json: JsonOption = False,
-    server: ClientOptions,
+    name: EntityName, *, frame: FrameOption = "", as_json: JsonOption = False, server: ClientOptions
 ) -> None:
     """Show pose, category, bounds, agent, links, joints and spawn report of an entity."""
     with open_client("inspect", server) as client:

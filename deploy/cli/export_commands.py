@@ -24,8 +24,7 @@ class ExportOptions:
     """All options of `zensim export`."""
 
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help=f"Scenario file to write, NAME{SUFFIXES[0]}."),
+        Path, typer.Argument(metavar="FILE", help=f"Scenario file to write, NAME{SUFFIXES[0]}.")
     ]
     force: Annotated[bool, flag("--force", help="Write over files that exist.")] = False
     connect: ConnectOption = DEFAULT_ENDPOINT
@@ -41,10 +40,7 @@ class ExportOptions:
 )
 def export_running_world(given: ExportOptions) -> None:
     """Write the running world, with all that was spawned at its present pose, as a scenario."""
-    with (
-        exit_on_failure("export", Error),
-        connect(given.connect, world=given.world_name) as sim,
-    ):
+    with exit_on_failure("export", Error), connect(given.connect, world=given.world_name) as sim:
         written = export(sim, given.file, overwrite=given.force)
     files = [file.name for file in written]
     print_announcement(

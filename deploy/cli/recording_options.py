@@ -68,10 +68,7 @@ StorageProfileOption = Annotated[
 ]
 StartOffsetOption = Annotated[
     float,
-    seconds(
-        help=r"Begin this time after the first message \[s].",
-        rich_help_panel=TIME_PANEL,
-    ),
+    seconds(help=r"Begin this time after the first message \[s].", rich_help_panel=TIME_PANEL),
 ]
 SpanOption = Annotated[
     float | None,

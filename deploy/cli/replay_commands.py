@@ -133,10 +133,7 @@ class ReplayOptions(RosOptions):
     delay: Annotated[
         float,
         seconds(
-            "--delay",
-            "-d",
-            help=r"Wait before the start \[s]; latched topics are there.",
-            **_time,
+            "--delay", "-d", help=r"Wait before the start \[s]; latched topics are there.", **_time
         ),
     ] = 0.0
     start_paused: Annotated[

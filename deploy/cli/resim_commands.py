@@ -43,8 +43,7 @@ class ResimOptions:
     """All options of `zensim resim`."""
 
     path: Annotated[
-        Path,
-        typer.Argument(metavar="FILE|FOLDER", help="Recording with the topic of inputs."),
+        Path, typer.Argument(metavar="FILE|FOLDER", help="Recording with the topic of inputs.")
     ]
     engine: Annotated[
         str,
@@ -69,8 +68,7 @@ class ResimOptions:
         ),
     ] = None
     report: Annotated[
-        bool,
-        flag("--report", help="Report distances, also of an unchanged run or other versions."),
+        bool, flag("--report", help="Report distances, also of an unchanged run or other versions.")
     ] = False
     as_json: JsonOption = False
 

@@ -32,8 +32,7 @@ FilesArgument = Annotated[
     typer.Argument(metavar="FILE...", help="Scenario files, or names of shipped scenarios."),
 ]
 PythonOption = Annotated[
-    bool,
-    typer.Option("--python/--no-python", metavar="", help="Allow code of the file's author."),
+    bool, typer.Option("--python/--no-python", metavar="", help="Allow code of the file's author.")
 ]
 RunTimeoutOption = Annotated[
     float | None,

@@ -53,8 +53,7 @@ class ScenarioTestOptions:
         ),
     ] = 1
     served: Annotated[
-        bool,
-        typer.Option("--server/--in-process", metavar="", help="Run on a server of its own."),
+        bool, typer.Option("--server/--in-process", metavar="", help="Run on a server of its own.")
     ] = False
     python: PythonOption = True
     timeout: RunTimeoutOption = None

@@ -32,12 +32,10 @@ class SensorRunOptions(RosOptions):
     """All options of `zensim sensors run`."""
 
     name: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Name of this process.", show_default="generated"),
+        str, typer.Option(metavar="NAME", help="Name of this process.", show_default="generated")
     ] = ""
     always: Annotated[
-        bool,
-        flag("--always", help="Follow the scene without subscribers, too, as for recorders."),
+        bool, flag("--always", help="Follow the scene without subscribers, too, as for recorders.")
     ] = False
     quiet: Annotated[bool, flag("--quiet", "-q", help="Log at level WARNING.")] = False
     as_json: JsonOption = False

@@ -78,8 +78,7 @@ layout_option = partial(
 )
 LayoutOption = Annotated[str, layout_option()]
 SpacingOption = Annotated[
-    float,
-    typer.Option("--spacing", metavar="METRES", help=r"Distance between neighbours \[m]."),
+    float, typer.Option("--spacing", metavar="METRES", help=r"Distance between neighbours \[m].")
 ]
 _description = partial(typer.Option, rich_help_panel="Description")
 _pose = partial(typer.Option, metavar="NUMBER", rich_help_panel="Pose")
@@ -205,8 +204,7 @@ class EntityOptions:
     x: Annotated[float, _pose("-x", help=r"Position along x \[m].")] = 0.0
     y: Annotated[float, _pose("-y", help=r"Position along y \[m].")] = 0.0
     z: Annotated[
-        float | None,
-        _pose("-z", help=r"Position along z \[m].", show_default="on the ground"),
+        float | None, _pose("-z", help=r"Position along z \[m].", show_default="on the ground")
     ] = None
     roll: Annotated[float, _pose("-R", "--roll", help=r"Roll \[rad].")] = 0.0
     pitch: Annotated[float, _pose("-P", "--pitch", help=r"Pitch \[rad].")] = 0.0
@@ -240,8 +238,7 @@ class GazeboOptions:
     """Further options of Gazebo's spawn_entity.py, in its spelling."""
 
     urdf: Annotated[
-        str,
-        _description("-urdf", "--robot_urdf", metavar="MODEL", help="Same as MODEL."),
+        str, _description("-urdf", "--robot_urdf", metavar="MODEL", help="Same as MODEL.")
     ] = ""
     entity: Annotated[str, typer.Option("-entity", hidden=True)] = ""
     file: Annotated[str, typer.Option("-file", hidden=True)] = ""

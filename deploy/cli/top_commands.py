@@ -53,8 +53,7 @@ class TopOptions(ClientOptions):
 
     once: Annotated[bool, flag("--once", help="Measure once, print tables, and end.")] = False
     every: Annotated[
-        float,
-        typer.Option("--every", min=0.2, max=60.0, metavar="SECONDS", help=r"Period \[s]."),
+        float, typer.Option("--every", min=0.2, max=60.0, metavar="SECONDS", help=r"Period \[s].")
     ] = 1.0
     text: Annotated[
         str,

@@ -74,8 +74,7 @@ DurationOption = Annotated[
     float, typer.Option("--duration", metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
 ]
 WindowOption = Annotated[
-    int,
-    typer.Option("--window", min=2, metavar="N", help="Average over the last N messages."),
+    int, typer.Option("--window", min=2, metavar="N", help="Average over the last N messages.")
 ]
 
 

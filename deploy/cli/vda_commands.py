@@ -58,9 +58,7 @@ class VdaOptions(ConnectionOptions):
     interface: Annotated[
         str,
         typer.Option(
-            metavar="NAME",
-            help="First level of all topics.",
-            show_default="uagv; vda5050 for 3.0",
+            metavar="NAME", help="First level of all topics.", show_default="uagv; vda5050 for 3.0"
         ),
     ] = ""
     robots: Annotated[

@@ -64,9 +64,7 @@ class SweepPlan(msgspec.Struct, frozen=True):
 
 
 def make_plan(
-    file: str,
-    settings: Sequence[str] = (),
-    on_run: Callable[[SweepRun], None] = lambda _: None,
+    file: str, settings: Sequence[str] = (), on_run: Callable[[SweepRun], None] = lambda _: None
 ) -> SweepPlan:
     """Make all runs of a scenario file.
 

@@ -424,10 +424,7 @@ class BusSubscription:
     """Subscription on a key expression; the oldest messages are dropped where there is no room."""
 
     def __init__(
-        self,
-        subscriber: "zenoh.Subscriber[Any]",
-        samples: ReceivedSamples,
-        traffic: BusTraffic,
+        self, subscriber: "zenoh.Subscriber[Any]", samples: ReceivedSamples, traffic: BusTraffic
     ) -> None:
         self._subscriber = subscriber
         self._samples = samples

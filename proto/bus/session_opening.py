@@ -74,11 +74,7 @@ def _settle(config: BusConfig) -> BusConfig:
     for endpoint in connect:
         check_endpoint(endpoint)
     return msgspec.structs.replace(
-        config,
-        listen=listen,
-        connect=connect,
-        credentials=credentials,
-        open_timeout_s=timeout_s,
+        config, listen=listen, connect=connect, credentials=credentials, open_timeout_s=timeout_s
     )
 
 

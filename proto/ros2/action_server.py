@@ -33,11 +33,7 @@ MAX_FINISHED_ACTION_GOALS: Final = 256
 """Ended goals whose results can still be fetched."""
 MAX_RESULT_QUERIES: Final = 64
 """Most clients that wait for the result of one goal."""
-FINAL_STATUSES: Final = (
-    GoalStatusCode.SUCCEEDED,
-    GoalStatusCode.CANCELED,
-    GoalStatusCode.ABORTED,
-)
+FINAL_STATUSES: Final = (GoalStatusCode.SUCCEEDED, GoalStatusCode.CANCELED, GoalStatusCode.ABORTED)
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 

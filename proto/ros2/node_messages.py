@@ -322,15 +322,12 @@ PARAMETER_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Str
     "get_parameters": (GetParametersRequest, GetParametersResponse),
     "list_parameters": (ListParametersRequest, ListParametersResponse),
     "set_parameters": (SetParametersRequest, SetParametersResponse),
-    "set_parameters_atomically": (
-        SetParametersAtomicallyRequest,
-        SetParametersAtomicallyResponse,
-    ),
+    "set_parameters_atomically": (SetParametersAtomicallyRequest, SetParametersAtomicallyResponse),
 }
 """Requests and responses by name, which is below the node's."""
 TYPE_SERVICE: Final = "get_type_description"
 """Service of distributions with type hashes."""
 TYPE_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {
-    TYPE_SERVICE: (GetTypeDescriptionRequest, GetTypeDescriptionResponse),
+    TYPE_SERVICE: (GetTypeDescriptionRequest, GetTypeDescriptionResponse)
 }
 """Requests and responses by name of the services that nodes have since iron."""

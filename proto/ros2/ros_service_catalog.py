@@ -106,10 +106,7 @@ V1_SERVICES: Final = (
         is_humble_form=True,
     ),
     RosService(
-        "load_world",
-        LoadWorldRequestV1,
-        service_catalog.LOAD_WORLD.response,
-        is_humble_form=True,
+        "load_world", LoadWorldRequestV1, service_catalog.LOAD_WORLD.response, is_humble_form=True
     ),
     RosService(
         "set_entity_state",
@@ -128,16 +125,10 @@ CHANGED_SINCE_V1: Final = frozenset(one.service for one in V1_SERVICES)
 """Services that differ between humble and simulation_interfaces 2.1."""
 GAZEBO_SPAWN_SERVICES: Final = (
     RosService(
-        "spawn_entity",
-        GazeboSpawnEntityRequest,
-        GazeboSpawnEntityResponse,
-        is_humble_form=True,
+        "spawn_entity", GazeboSpawnEntityRequest, GazeboSpawnEntityResponse, is_humble_form=True
     ),
     RosService(
-        "delete_entity",
-        GazeboDeleteEntityRequest,
-        GazeboDeleteEntityResponse,
-        is_humble_form=True,
+        "delete_entity", GazeboDeleteEntityRequest, GazeboDeleteEntityResponse, is_humble_form=True
     ),
 )
 

@@ -205,9 +205,6 @@ def _make_field(
     name: str, number: int, nested: str = "", *, capacity: int = 0, string_capacity: int = 0
 ) -> FieldDescription:
     kind = FieldType(
-        type_id=number,
-        capacity=capacity,
-        string_capacity=string_capacity,
-        nested_type_name=nested,
+        type_id=number, capacity=capacity, string_capacity=string_capacity, nested_type_name=nested
     )
     return FieldDescription(name=name, type=kind)

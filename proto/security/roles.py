@@ -134,8 +134,7 @@ _SERVER_TOKEN: Final = KeyGrant("L", ("sim/{world}/alive/server", "sim/*/alive/s
 _EVERY_TOPIC: Final = (
     KeyGrant("S", ("**", "{domain}/**/@adv/**")),
     KeyGrant(
-        "Q",
-        (*GETTABLE, *_of_any_robot(*ROBOT_TOPICS.values()), "{domain}/rosout/*/*/@adv/**"),
+        "Q", (*GETTABLE, *_of_any_robot(*ROBOT_TOPICS.values()), "{domain}/rosout/*/*/@adv/**")
     ),
     KeyGrant(
         "L",

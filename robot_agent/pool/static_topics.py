@@ -209,10 +209,7 @@ class StaticTopics:
     """Static topics of robots; equal messages are encoded once."""
 
     def __init__(
-        self,
-        find_publisher: FindPublisher,
-        shared: SharedStaticTopic,
-        ros: RosSettings = NO_ROS,
+        self, find_publisher: FindPublisher, shared: SharedStaticTopic, ros: RosSettings = NO_ROS
     ) -> None:
         self._find_publisher = find_publisher
         self._shared = shared

@@ -78,8 +78,7 @@ def _check_names(parts: ParsedModel) -> None:
         raise ModelError("the robot has no links; add at least one", slug="urdf.no_links")
     if len(parts.links) > MAX_LINKS:
         raise ModelError(
-            f"the robot has {len(parts.links)} links; use at most {MAX_LINKS}",
-            slug="urdf.size",
+            f"the robot has {len(parts.links)} links; use at most {MAX_LINKS}", slug="urdf.size"
         )
     for what, names in (
         ("link", [link.name for link in parts.links]),

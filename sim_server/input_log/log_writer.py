@@ -60,10 +60,7 @@ class InputLog:
     """
 
     def __init__(
-        self,
-        parts: ServerParts,
-        is_wanted: Callable[[], bool],
-        publish: Callable[[Inputs], None],
+        self, parts: ServerParts, is_wanted: Callable[[], bool], publish: Callable[[Inputs], None]
     ) -> None:
         """Begin at once if the world was made with a logged engine.
 

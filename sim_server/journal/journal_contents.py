@@ -377,12 +377,7 @@ def commit_restore(
 def summarize_journal(database: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
     """Summarize a journal, without descriptions."""
     if contents is None:
-        return {
-            "position": database.position,
-            "loss": database.loss,
-            "entities": [],
-            "aside": [],
-        }
+        return {"position": database.position, "loss": database.loss, "entities": [], "aside": []}
     world, clock = contents.world, contents.clock
     return {
         "position": database.position,

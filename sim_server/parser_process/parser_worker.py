@@ -131,10 +131,7 @@ def parse_world_request(
         request.text, resolve=resolve, find_mesh=find, allow_missing=request.allow_missing
     )
     result = ParseResult(
-        request.number,
-        world=described.world,
-        wanted=tuple(wanted),
-        unusable=described.unusable,
+        request.number, world=described.world, wanted=tuple(wanted), unusable=described.unusable
     )
     return result, described.meshes
 

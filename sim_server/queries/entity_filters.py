@@ -114,9 +114,7 @@ def filter_entities(
     if region is None and pattern is None:
         return make_response(tuple(entity.name for entity in found))
     search = _EntitySearch(
-        world.scene(store.vertices, store.corners),
-        world.entities.index.row,
-        found,
+        world.scene(store.vertices, store.corners), world.entities.index.row, found
     )
     work = SlicedWork(search.run(pattern, region), pacing)
     return work.respond(lambda: _finish_search(work, search, make_response))

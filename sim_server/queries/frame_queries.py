@@ -194,8 +194,7 @@ def find_joint(world: SimulatedWorld, name: str) -> ScopedJoint:
     if scope:
         names = [joint.name for joint in entities[0].model.joints]
         raise RequestRefused(
-            ResultCode.NOT_FOUND,
-            f"joint {_shorten(name)!r} {_suggest_names(owner, names)}",
+            ResultCode.NOT_FOUND, f"joint {_shorten(name)!r} {_suggest_names(owner, names)}"
         )
     raise RequestRefused(
         ResultCode.NOT_FOUND,

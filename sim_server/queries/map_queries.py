@@ -54,11 +54,7 @@ def get_map(
 
 
 def draw_map(
-    world: SimulatedWorld,
-    store: AssetStore,
-    pacing: Pacing,
-    request: GetMapRequest,
-    max_cells: int,
+    world: SimulatedWorld, store: AssetStore, pacing: Pacing, request: GetMapRequest, max_cells: int
 ) -> GetMapResponse | DeferredResponse[GetMapResponse]:
     """Draw what is fixed in the world, in at most so many cells; see `get_map`."""
     shapes = _place_fixed_shapes(world, store)

@@ -236,9 +236,7 @@ class AgentSessions:
 
     def _publish_state(self, agent: str, state: DriveState) -> None:
         sent = msgspec.structs.replace(
-            state,
-            newest_claim=self._world.claims.newest,
-            is_awaited=self._pacing.is_awaited,
+            state, newest_claim=self._world.claims.newest, is_awaited=self._pacing.is_awaited
         )
         form = self._agents.state_formats.get(agent, Format.MSGPACK)
         self._publisher.publish_drive_state(agent, sent, form)
@@ -607,9 +605,7 @@ class ServerLoop:
         spare_ns = wall_step_ns - late_ns - took_ns
         self._budget.begin_step(max(took_ns, wall_step_ns), late_ns, spare_ns)
         self._loop_stats.note_step(
-            simulated_ns=self._world.clock.step_ns,
-            took_ns=took_ns,
-            late_ns=late_ns,
+            simulated_ns=self._world.clock.step_ns, took_ns=took_ns, late_ns=late_ns
         )
         if self._world.is_control_step:
             if self._inputs.is_active:

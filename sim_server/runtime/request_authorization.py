@@ -131,9 +131,7 @@ def _describe(user: User) -> str:
 
 
 def _find_claim_fault(
-    user: User,
-    request: ClaimEntityRequest | ClaimShareRequest,
-    entities: Mapping[str, Entity],
+    user: User, request: ClaimEntityRequest | ClaimShareRequest, entities: Mapping[str, Entity]
 ) -> str:
     if request.agent != user.name:
         return f"{_describe(user)} may not claim as agent '{request.agent[:64]}'"

@@ -304,8 +304,7 @@ def _make_cylinder() -> _Solid:
     ends = _make_flat(np.concatenate(caps).reshape(-1, 3))
     # Two-sided light makes the direction of normals irrelevant.
     return _Solid(
-        np.concatenate([side, ends.corners]),
-        np.concatenate([side * (1.0, 1.0, 0.0), ends.normals]),
+        np.concatenate([side, ends.corners]), np.concatenate([side * (1.0, 1.0, 0.0), ends.normals])
     )
 
 

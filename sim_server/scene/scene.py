@@ -248,11 +248,7 @@ class SceneLayout:
         return tuple(zip(accumulate(counts, initial=0), counts, strict=False))
 
     def _place_part(
-        self,
-        number: int,
-        base: FloatArray,
-        joint_positions: FloatArray,
-        is_chosen: BoolArray,
+        self, number: int, base: FloatArray, joint_positions: FloatArray, is_chosen: BoolArray
     ) -> PlacedShapes:
         """Place the members of a group that are chosen (n,)."""
         group, (first, count) = self.groups[number], self._shape_ranges[number]

@@ -167,10 +167,7 @@ class StartedRouter:
     """A router that starts, while its server does other work."""
 
     def __init__(
-        self,
-        folder: SecureFolder,
-        process: "Process | None",
-        on_listening: Callable[[], None],
+        self, folder: SecureFolder, process: "Process | None", on_listening: Callable[[], None]
     ) -> None:
         self._folder = folder
         self._output = process.stdout if process is not None else None

@@ -193,10 +193,7 @@ def make_image_writer(
         LABELS.name: ("32SC1", 4, write_labels),
     }[topic]
     image = Image(
-        height=settings.height,
-        width=settings.width,
-        encoding=encoding,
-        step=size * settings.width,
+        height=settings.height, width=settings.width, encoding=encoding, step=size * settings.width
     )
     return ImageWriter(image, frames, write)
 

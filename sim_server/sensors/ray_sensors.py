@@ -110,10 +110,7 @@ class PointsWriter:
         template = PointCloud2(height=1, fields=POINT_FIELDS, point_step=POINT_STEP, is_dense=True)
         self._directions = make_ray_directions(settings)
         self._messages = ArrayMessages(
-            _in_frames(template, frames),
-            array="data",
-            item=b"\1",
-            integers=("width", "row_step"),
+            _in_frames(template, frames), array="data", item=b"\1", integers=("width", "row_step")
         )
 
     def write(self, rows: IntArray, time_ns: int, ranges: FloatArray) -> list[bytes]:

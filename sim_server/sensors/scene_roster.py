@@ -200,10 +200,7 @@ class SceneMeshes:
     """Triangles of meshes and files of textures, fetched from the server once."""
 
     def __init__(
-        self,
-        network: CallingNetwork,
-        world: str,
-        now_s: Callable[[], float] = time.monotonic,
+        self, network: CallingNetwork, world: str, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         """Begin without files.
 

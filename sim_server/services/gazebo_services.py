@@ -318,8 +318,7 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
         )
     if request.mass <= 0.0:
         raise RequestRefused(
-            ResultCode.OPERATION_FAILED,
-            f"mass {request.mass:g} is not positive; set all fields",
+            ResultCode.OPERATION_FAILED, f"mass {request.mass:g} is not positive; set all fields"
         )
     com = pose_to_row(request.com)
     ixx, ixy, ixz, iyy, iyz, izz = moments

@@ -137,10 +137,7 @@ def inspect_world(request: InspectionRequest) -> WorldInspection:
     started = time.perf_counter()
     order = request.world
     try:
-        loaded = load_world_file(
-            order.name,
-            order.files,
-        )
+        loaded = load_world_file(order.name, order.files)
         found = describe_world(order.name, loaded)
         found = msgspec.structs.replace(found, load_s=time.perf_counter() - started)
         return watch_models(found, loaded, request) if request.settle_s else found
@@ -231,9 +228,7 @@ def _read_bases(world: SimulatedWorld) -> dict[str, FloatArray]:
 
 
 def _add_motion(
-    models: Iterable[InspectedModel],
-    before: dict[str, FloatArray],
-    after: dict[str, FloatArray],
+    models: Iterable[InspectedModel], before: dict[str, FloatArray], after: dict[str, FloatArray]
 ) -> Iterator[InspectedModel]:
     for model in models:
         old, new = before[model.name], after[model.name]

@@ -101,10 +101,7 @@ def _parse_world(text: str, folders: Sequence[Path], *, allow_missing: bool) -> 
         return None if data is None else (sha256(data).hexdigest(), data)
 
     parsed = parse_world(
-        text,
-        resolve=make_model_resolver(folders),
-        find_mesh=find_mesh,
-        allow_missing=allow_missing,
+        text, resolve=make_model_resolver(folders), find_mesh=find_mesh, allow_missing=allow_missing
     )
     return LoadedWorld(parsed.world, parsed.meshes)
 

@@ -83,12 +83,7 @@ class GazeboClient:
         )
 
     def apply_joint_effort(
-        self,
-        joint: str,
-        effort: float,
-        *,
-        start_s: float = 0.0,
-        duration_s: float = FOREVER_S,
+        self, joint: str, effort: float, *, start_s: float = 0.0, duration_s: float = FOREVER_S
     ) -> str:
         """Apply an effort [N m or N] to a joint for a duration, and return the status."""
         request = gazebo_messages.ApplyJointEffortRequest(

@@ -161,10 +161,7 @@ class SceneLighting:
 
     def _add_sun(self) -> LightHandle:
         return self._scene.add_light_directional(
-            "/light/sun",
-            intensity=LAMP_INTENSITY,
-            cast_shadow=True,
-            position=SUN_POSITION,
+            "/light/sun", intensity=LAMP_INTENSITY, cast_shadow=True, position=SUN_POSITION
         )
 
     def _add(self, path: str, lamp: Light) -> LightHandle:

@@ -43,16 +43,7 @@ TAKE_OVER: Final = PageCommand("Take over the selected robot", "T")
 DRIVE_TO: Final = PageCommand("Drive to a click on the floor", "G")
 DELETE: Final = PageCommand("Delete what is selected", "D", "shift")
 UNDO: Final = PageCommand("Undo the deletion", "Z", "shift")
-COMMANDS: Final = (
-    PLAY_OR_PAUSE,
-    STEP_ONCE,
-    RESET,
-    STOP_ALL,
-    TAKE_OVER,
-    DRIVE_TO,
-    DELETE,
-    UNDO,
-)
+COMMANDS: Final = (PLAY_OR_PAUSE, STEP_ONCE, RESET, STOP_ALL, TAKE_OVER, DRIVE_TO, DELETE, UNDO)
 LOOK_SHORTCUTS: Final = (Shortcut("Ctrl+K", "command palette"),)
 """Shortcuts of a page whose visitors may look only."""
 SHORTCUTS: Final = (

@@ -200,9 +200,7 @@ def read_description_stream(
 
 def _too_large_error(fault: str) -> ServiceError:
     return make_refusal(
-        SpawnCode.RESOURCE_PARSE_ERROR,
-        "xml.size",
-        f"{fault}; the limit is {MAX_TEXT_BYTES}",
+        SpawnCode.RESOURCE_PARSE_ERROR, "xml.size", f"{fault}; the limit is {MAX_TEXT_BYTES}"
     )
 
 

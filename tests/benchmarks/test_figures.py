@@ -35,7 +35,7 @@ def test_table_shows_what_was_asked_what_was_seen_and_the_spread() -> None:
     figure = a_figure(*[float(i) for i in range(1, 12)], limit=Limit("max", "<=", 12.0))
 
     assert cells(figure) == [
-        *("way [ms]", "max <= 12", "11, met", "6", "2 to 10", "", "1 to 11", "11"),
+        *("way [ms]", "max <= 12", "11, met", "6", "2 to 10", "", "1 to 11", "11")
     ]
 
 

@@ -44,10 +44,7 @@ from zensim.proto.messages.telemetry_messages import (
     Info,
     WorldClock,
 )
-from zensim.proto.parent_death import (
-    PARENT_PID_VARIABLE,
-    die_with_supervisor,
-)
+from zensim.proto.parent_death import PARENT_PID_VARIABLE, die_with_supervisor
 from zensim.proto.service_catalog import GET_MODELS, INFO
 from zensim.proto.topic_catalog import CLOCK, FLEET_ODOMETRY, ODOM, TF
 from zensim.robot_agent.fleet_odometry import MotionRows

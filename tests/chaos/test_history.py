@@ -32,17 +32,11 @@ def test_history_is_explained(operations: list[Operation]) -> None:
         # Acknowledged, then lost.
         ([op("spawn", 0, 1, "done"), op("look", 2, 3, "missing")], 1),
         # Deleted, then existing again.
-        (
-            [op("spawn", 0, 1, "done"), op("delete", 2, 3, "done"), op("look", 4, 5, "there")],
-            2,
-        ),
+        ([op("spawn", 0, 1, "done"), op("delete", 2, 3, "done"), op("look", 4, 5, "there")], 2),
         # Two owners of one name.
         ([op("spawn", 0, 5, "done"), op("spawn", 1, 6, "done")], 1),
         # Seen by one client, and missed by a later request of another.
-        (
-            [op("look", 1, 2, "there"), op("look", 3, 4, "missing"), op("spawn", 0, 5, "done")],
-            1,
-        ),
+        ([op("look", 1, 2, "there"), op("look", 3, 4, "missing"), op("spawn", 0, 5, "done")], 1),
         ([op("delete", 0, 1, "done")], 0),
     ],
 )

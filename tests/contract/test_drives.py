@@ -56,7 +56,7 @@ COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
         *("odometry_rate_hz", "pose_covariance", "twist_covariance"),
     },
     TricycleDrive: {
-        *("steering_effort_nm", "odometry_rate_hz", "pose_covariance", "twist_covariance"),
+        *("steering_effort_nm", "odometry_rate_hz", "pose_covariance", "twist_covariance")
     },
     SteeringDrive: {
         *(
@@ -72,9 +72,7 @@ COMPUTED_FIELDS: dict[type[Drive], set[str]] = {
         *("wheel_effort_nm", "steering_effort_nm"),
         *(field for field in CONTROLLER_FIELDS if not field.endswith("_topic")),
     },
-    OmniDrive: {
-        *("wheels", "max_torque_nm", "linear_limits", "lateral_limits", "angular_limits"),
-    },
+    OmniDrive: {*("wheels", "max_torque_nm", "linear_limits", "lateral_limits", "angular_limits")},
 }
 """Fields without a parameter: measured from links, set by several tags, or not in the plug-in."""
 

@@ -330,9 +330,7 @@ def test_engine_repeats_a_run_exactly(make: MakeEngine) -> None:
 
 
 @every_engine
-def test_engine_repeats_a_run_exactly_after_a_distant_body_was_removed(
-    make: MakeEngine,
-) -> None:
+def test_engine_repeats_a_run_exactly_after_a_distant_body_was_removed(make: MakeEngine) -> None:
     alone, with_another = drive_scene(make), drive_scene(make, with_another=True)
 
     assert alone == with_another

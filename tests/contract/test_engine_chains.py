@@ -225,10 +225,7 @@ def a_robot_with_fingers() -> Model:
     ]
     first, second = mast.joints
     side = {"axis": (0.0, 1.0, 0.0), "origin": Origin((0.0, 0.0, 0.2)), "parent": base.name}
-    fingers = (
-        replace(first, **side),
-        replace(second, mimic=Mimic("j0", -1.0), **side),
-    )
+    fingers = (replace(first, **side), replace(second, mimic=Mimic("j0", -1.0), **side))
     tips = [Link(joint.child, light) for joint in fingers]
     return replace(robot, links=(*links, *tips), joints=(*axles, *fingers))
 

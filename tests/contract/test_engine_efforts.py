@@ -36,9 +36,7 @@ def a_held_arm(mass_kg: float) -> Model:
     arm = Inertial(mass_kg, (ARM_M, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     link = msgspec.structs.replace(fork.links[STEERING + 1], inertial=arm)
     return msgspec.structs.replace(
-        fork,
-        links=(*fork.links[: STEERING + 1], link),
-        joints=(*fork.joints[:STEERING], steering),
+        fork, links=(*fork.links[: STEERING + 1], link), joints=(*fork.joints[:STEERING], steering)
     )
 
 

@@ -16,13 +16,7 @@ from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.model_messages import Link, Model
 from zensim.proto.messages.standard_messages import String
 from zensim.proto.messages.telemetry_messages import EntityModel
-from zensim.proto.printable_text import (
-    print_lines,
-    to_file_name,
-    to_html,
-    to_markdown,
-    to_xml,
-)
+from zensim.proto.printable_text import print_lines, to_file_name, to_html, to_markdown, to_xml
 from zensim.recording.mcap_records import Channel, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.message_series import MessageSeries
@@ -99,7 +93,7 @@ def test_page_and_notebook_get_no_tags_of_a_name(name: str) -> None:
     assert not any(map(FORBIDDEN.search, pages))
     assert {tag for one in found for tag in one.tags} & {"img", "script", "x", "y"} == set()
     assert {name for one in found for name in one.attributes} <= {
-        *("style", "title", "border", "class", "data-state"),
+        *("style", "title", "border", "class", "data-state")
     }
 
 

@@ -314,9 +314,7 @@ def test_a_closed_subscription_receives_nothing(pair: Pair) -> None:
     ids=["reply", "reply with attachment", "last of a key", "drop"],
 )
 def test_a_query_gets_the_replies(
-    pair: Pair,
-    reply: Callable[[Query], None],
-    expected: list[tuple[str, bytes, str, bytes]],
+    pair: Pair, reply: Callable[[Query], None], expected: list[tuple[str, bytes, str, bytes]]
 ) -> None:
     queue = pair.far.serve("a/*", 9)
     asked: list[tuple[str, str, bool, bool]] = []

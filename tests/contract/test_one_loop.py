@@ -19,10 +19,7 @@ SCENARIOS = {
     "faulty_fleet": (("end.at=0.3 s", "engine.use=mujoco"), {"bumper_states", "imu", "tf"}),
     "first_minutes": (("end.at=0.3 s", "engine.use=mujoco"), {"imu", "tf"}),
     "formation": (("end.at=0.3 s", "engine.use=mujoco"), {"imu", "tf"}),
-    "warehouse": (
-        ("end.at=0.2 s",),
-        {"bumper_states", "imu", "joint_states", "odom", "tf"},
-    ),
+    "warehouse": (("end.at=0.2 s",), {"bumper_states", "imu", "joint_states", "odom", "tf"}),
 }
 """Settings of shipped scenarios, and topics of robots that have equal bytes."""
 ROBOT_CHUNKS = 3

@@ -6,9 +6,7 @@ from pathlib import Path
 import zensim
 
 READS = re.compile(r"\bpickle\.(loads?|Unpickler)\b|\ballow_pickle=True\b|\b(cloudpickle|dill)\b")
-PIPES = {
-    "sim_server/physics/cell_worker.py": "calls of the server that started the process",
-}
+PIPES = {"sim_server/physics/cell_worker.py": "calls of the server that started the process"}
 """Modules that read pickles, and of whom; their other end is a process of the same program."""
 
 

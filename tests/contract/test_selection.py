@@ -5,12 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import (
-    WORKSHOP,
-    WRITTEN_MARKS,
-    find_required_marks,
-    pytest_ignore_collect,
-)
+from tests.conftest import WORKSHOP, WRITTEN_MARKS, find_required_marks, pytest_ignore_collect
 from tests.contract.repository import ROOT
 
 

@@ -75,10 +75,9 @@ def imported_topics() -> dict[str, set[str]]:
 def test_topic_is_in_the_committed_schemas(topic: TopicSpec) -> None:
     committed = json.loads(text_of(SCHEMAS / "keys.json"))["topics"]
     described = json.loads(text_of(SCHEMAS / "messages.json"))["$defs"]
-    owner = {
-        TopicScope.ROBOT: ("r1",),
-        TopicScope.SENSORS: ("default", "sensors_1"),
-    }.get(topic.scope, ("default", "agent_1"))
+    owner = {TopicScope.ROBOT: ("r1",), TopicScope.SENSORS: ("default", "sensors_1")}.get(
+        topic.scope, ("default", "agent_1")
+    )
 
     assert committed[topic.key(*owner)] == [kind.__name__ for kind in topic.messages]
     assert {kind.__name__ for kind in topic.messages} <= described.keys()

@@ -113,9 +113,5 @@ def test_targets_install_the_extras_that_they_are_for() -> None:
     stages = dict(re.findall(r"^FROM build AS build-(\w+)\n((?:(?!FROM).*\n)*)", RESOLVED, re.M))
     installed = {name: re.findall(r"requirements/(\w+)\.txt", stages[name]) for name in stages}
 
-    assert installed == {
-        "agent": [],
-        "server": ["server"],
-        "full": ["server", "viewer"],
-    }
+    assert installed == {"agent": [], "server": ["server"], "full": ["server", "viewer"]}
     assert all((REQUIREMENTS / f"{name}.txt").is_file() for name in installed["full"])

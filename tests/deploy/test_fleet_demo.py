@@ -78,10 +78,7 @@ def test_robots_move_each_until_it_is_commanded(
     endpoint = playing.endpoint
     start = fleet.poses2d()
 
-    with (
-        open_bus(BusConfig(connect=(endpoint,))) as bus,
-        make(bus, endpoint) as demo,
-    ):
+    with open_bus(BusConfig(connect=(endpoint,))) as bus, make(bus, endpoint) as demo:
         update_until(demo, lambda: bool((np.abs(fleet.poses2d() - start).max(axis=1) > 0.1).all()))
         command = bus.advertise(CMD_VEL.key("r0"), CMD_VEL.encoding)
         update_until(demo, lambda: _drive_back(command) and fleet.twists()[0, 0] < -0.05)
@@ -100,10 +97,7 @@ def test_circles_begin_when_a_paused_world_plays(playing: Sim) -> None:
     playing.pause()
     fleet, endpoint = playing.fleet(["r0", "r1", "r2"]), playing.endpoint
 
-    with (
-        open_bus(BusConfig(connect=(endpoint,))) as bus,
-        make_circles(bus, endpoint) as demo,
-    ):
+    with open_bus(BusConfig(connect=(endpoint,))) as bus, make_circles(bus, endpoint) as demo:
         demo.update()
         playing.step(20)
         assert np.abs(fleet.twists()[:, 0]).max() < 0.01

@@ -24,19 +24,12 @@ from zensim.proto.messages.replay_messages import (
     ReplaySetRateRequest,
 )
 from zensim.proto.messages.result_messages import ServiceError
-from zensim.proto.messages.simulation_messages import (
-    ResetSimulationRequest,
-)
+from zensim.proto.messages.simulation_messages import ResetSimulationRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, String
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Snapshot
 from zensim.proto.replay_catalog import PAUSE, RESUME, SEEK, SET_RATE
-from zensim.proto.service_catalog import (
-    DELETE_ENTITY,
-    GET_ASSET,
-    GET_MODELS,
-    RESET_SIMULATION,
-)
+from zensim.proto.service_catalog import DELETE_ENTITY, GET_ASSET, GET_MODELS, RESET_SIMULATION
 from zensim.recording.recording_reader import RecordingReader
 
 

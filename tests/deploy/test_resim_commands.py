@@ -14,12 +14,7 @@ from zensim.deploy.cli.resim_commands import MAX_ROWS, app, format_distances
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.input_messages import Inputs
-from zensim.proto.messages.standard_messages import (
-    NANOSECONDS,
-    Header,
-    Odometry,
-    UInt8MultiArray,
-)
+from zensim.proto.messages.standard_messages import NANOSECONDS, Header, Odometry, UInt8MultiArray
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.message_definitions import write_definition
 from zensim.proto.topic_catalog import INPUTS

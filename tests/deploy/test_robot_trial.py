@@ -7,13 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from zensim.deploy.robot_checks import (
-    RobotCheck,
-    TrialRequest,
-    TrialResult,
-    judge,
-    make_row,
-)
+from zensim.deploy.robot_checks import RobotCheck, TrialRequest, TrialResult, judge, make_row
 from zensim.deploy.robot_trial import run_trial
 
 BOX_BOT = (resources.files("zensim.sim_server") / "models" / "box_bot.urdf").read_text()

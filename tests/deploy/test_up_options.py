@@ -11,12 +11,7 @@ from zensim.api.local_deployment import LaunchConfig, make_serve_arguments
 from zensim.deploy.cli.serve_commands import ServeOptions
 from zensim.deploy.cli.up_commands import UpOptions, make_config
 from zensim.proto.settings.deployment_settings import ServeSettings
-from zensim.proto.settings.setting import (
-    SettingField,
-    change_settings,
-    is_settings,
-    list_settings,
-)
+from zensim.proto.settings.setting import SettingField, change_settings, is_settings, list_settings
 
 CHANGED: dict[str, object] = {
     "journal": "journal",
@@ -86,7 +81,7 @@ def test_defaults_of_the_server_are_left_out() -> None:
     words = make_serve_arguments(DEFAULTS)
 
     assert [word for word in words if word.startswith("--")] == [
-        *("--announce", "--listen", "--world-name", "--world", "--ros-domain"),
+        *("--announce", "--listen", "--world-name", "--world", "--ros-domain")
     ]
 
 

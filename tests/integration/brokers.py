@@ -33,9 +33,7 @@ class Broker:
         """Start it, and wait until it accepts connections."""
         found = shutil.which("mosquitto") or next(one for one in PLACES if Path(one).exists())
         self._process = subprocess.Popen(
-            [found, "-c", str(self._settings)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            [found, "-c", str(self._settings)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         eventually(self._accepts, WITHIN_S, "the broker")
 

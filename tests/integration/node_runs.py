@@ -48,11 +48,7 @@ def running_controllers(
     module = "tests.integration.ros_controllers"
     command = (sys.executable, "-m", module, server.endpoint, str(delay_s), *names)
     with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             assert read_json_line(process)["ready"]

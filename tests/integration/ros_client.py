@@ -26,12 +26,7 @@ class Client:
         self._session.store.register(known)
 
     def call(
-        self,
-        name: str,
-        kind: str,
-        type_hash: str,
-        fields: dict[str, OfRos],
-        within_s: float = 60.0,
+        self, name: str, kind: str, type_hash: str, fields: dict[str, OfRos], within_s: float = 60.0
     ) -> object:
         """Call a service; None without a reply in time."""
         request, response = INTERFACES[kind].replace(";", "\n").split("---")

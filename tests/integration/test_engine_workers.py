@@ -32,9 +32,7 @@ def worker_pids(server: Server) -> list[psutil.Process]:
     ]
 
 
-def test_robots_drive_in_each_process_until_the_server_is_stopped(
-    server: Server,
-) -> None:
+def test_robots_drive_in_each_process_until_the_server_is_stopped(server: Server) -> None:
     names = ("box_bot0", f"box_bot{FLEET - 1}")
     with running_agents(server, *names):
         robots = [robot(server.bus, name) for name in names]

@@ -139,10 +139,7 @@ def check_map(recorded: Recorded) -> None:
 
 def make_transform(x: float, y: float, heading: float) -> FloatArray:
     transform = np.eye(4)
-    transform[:2, :2] = [
-        [np.cos(heading), -np.sin(heading)],
-        [np.sin(heading), np.cos(heading)],
-    ]
+    transform[:2, :2] = [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
     transform[:2, 3] = x, y
     return transform
 

@@ -11,11 +11,7 @@ import msgspec
 import pytest
 
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from tests.integration.ros_client_process import (
-    CallObserver,
-    make_service_call,
-    run_observer,
-)
+from tests.integration.ros_client_process import CallObserver, make_service_call, run_observer
 from tests.proto.ros_hashes import hash_of_service
 from zensim.proto.bus.bus_session import BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding

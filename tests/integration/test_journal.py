@@ -304,10 +304,7 @@ def put(server: Server, data: bytes) -> None:
 
 @pytest.mark.root
 def test_full_disk_of_temporary_files_refuses_uploads_only(tmp_path: Path) -> None:
-    with (
-        small_disk(tmp_path / "disk") as disk,
-        serving(prefix=("env", f"TMPDIR={disk}")) as server,
-    ):
+    with small_disk(tmp_path / "disk") as disk, serving(prefix=("env", f"TMPDIR={disk}")) as server:
         ballast = disk / "ballast"
         fill_up(ballast)
 
@@ -324,10 +321,7 @@ def test_full_disk_of_temporary_files_refuses_uploads_only(tmp_path: Path) -> No
 def test_read_only_disk_of_temporary_files_refuses_uploads_until_it_is_writable(
     tmp_path: Path,
 ) -> None:
-    with (
-        small_disk(tmp_path / "disk") as disk,
-        serving(prefix=("env", f"TMPDIR={disk}")) as server,
-    ):
+    with small_disk(tmp_path / "disk") as disk, serving(prefix=("env", f"TMPDIR={disk}")) as server:
         remount(disk, "ro")
 
         slug = refusal_of(server, lambda: put(server, bytes(1000)))

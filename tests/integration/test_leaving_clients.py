@@ -192,10 +192,7 @@ def send_and_leave(port: int, kind: str, is_over: threading.Event) -> None:
         "garbage": GARBAGE,
         "goes on after the end": b"GET / HTTP/1.0\r\n\r\n" * 100,
     }
-    with (
-        suppress(OSError),
-        socket.create_connection((HOST, port), WITHIN_S) as raw,
-    ):
+    with suppress(OSError), socket.create_connection((HOST, port), WITHIN_S) as raw:
         raw.sendall(requests.get(kind, b"GET / HT"))
         if kind == "stalls":
             is_over.wait(WITHIN_S)

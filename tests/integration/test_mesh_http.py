@@ -10,13 +10,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from tests.integration.processes import (
-    Server,
-    eventually,
-    running_agents,
-    serving,
-    zensim,
-)
+from tests.integration.processes import Server, eventually, running_agents, serving, zensim
 from tests.integration.ros_client_process import session_of
 from tests.integration.ros_subscriptions import read_late_joining
 from tests.spawner.packages import make_package

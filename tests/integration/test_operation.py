@@ -7,19 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.monitoring_rules import (
-    find_metrics,
-    list_alert_queries,
-    list_dashboard_queries,
-)
-from tests.integration.processes import (
-    Server,
-    eventually,
-    free_endpoint,
-    running,
-    serving,
-    zensim,
-)
+from tests.deploy.monitoring_rules import find_metrics, list_alert_queries, list_dashboard_queries
+from tests.integration.processes import Server, eventually, free_endpoint, running, serving, zensim
 from tests.integration.scraping import find_free_port, list_metric_names, probe, scrape
 from zensim.proto.exit_codes import ExitCode
 

@@ -34,10 +34,7 @@ from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.model_messages import Shape
 from zensim.proto.web_access import CannotListen, PageAccess, PortTaken, name_cookie
-from zensim.spawner.page.page_server import (
-    MAX_MESSAGE_BYTES,
-    MAX_VISITORS,
-)
+from zensim.spawner.page.page_server import MAX_MESSAGE_BYTES, MAX_VISITORS
 from zensim.spawner.page.render_state import (
     LastCommand,
     RenderedFleet,

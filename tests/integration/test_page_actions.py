@@ -7,14 +7,7 @@ from contextlib import ExitStack, closing, contextmanager
 import pytest
 
 from tests.integration.page_user import PageUser
-from tests.integration.processes import (
-    END_S,
-    Server,
-    eventually,
-    free_endpoint,
-    running,
-    serving,
-)
+from tests.integration.processes import END_S, Server, eventually, free_endpoint, running, serving
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.simulation_messages import State

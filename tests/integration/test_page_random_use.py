@@ -78,12 +78,7 @@ def click_scene(choices: Choices, _: PageUser) -> dict[str, object]:
     }
     if choices.random() < 0.5:
         places = ((0.5, 0.5),)
-        return {
-            "kind": "ScenePointerMessage",
-            "event_type": "click",
-            "screen_pos": places,
-            **ray,
-        }
+        return {"kind": "ScenePointerMessage", "event_type": "click", "screen_pos": places, **ray}
     name = choices.choice(("/robots/0/0/0", "/robots/9", "/ground", ""))
     number = choices.choice((0, 1, 999, -1, None))
     more: dict[str, object] = {

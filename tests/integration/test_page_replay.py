@@ -7,12 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.deploy.recorded_worlds import write_world
-from tests.integration.page_client import (
-    connect_page,
-    encode_camera,
-    encode_update,
-    read_messages,
-)
+from tests.integration.page_client import connect_page, encode_camera, encode_update, read_messages
 from tests.integration.processes import running, zensim
 
 

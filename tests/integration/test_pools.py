@@ -75,9 +75,7 @@ def wait_for_shares(server: Server, *sizes: int) -> None:
     eventually(lambda: shares(server) == list(sizes), SOON_S, f"shares of {sizes}")
 
 
-def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go(
-    server: Server,
-) -> None:
+def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go(server: Server) -> None:
     with pools(server, "p", "q"):
         spawn(server)
         wait_for_shares(server, 4, 3)
@@ -90,9 +88,7 @@ def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go(
         wait_for_shares(server, 2, 1)
 
 
-def test_robots_of_a_killed_pool_stop_and_move_to_the_other(
-    server: Server,
-) -> None:
+def test_robots_of_a_killed_pool_stop_and_move_to_the_other(server: Server) -> None:
     with pools(server, "p", "q") as processes:
         spawn(server)
         wait_for_shares(server, 4, 3)
@@ -131,9 +127,7 @@ def test_pool_drives_no_more_than_its_limit(server: Server) -> None:
             wait_for_shares(server, ROBOTS - 2, 2)
 
 
-def test_late_joiners_discover_the_robots_of_every_pool(
-    server: Server,
-) -> None:
+def test_late_joiners_discover_the_robots_of_every_pool(server: Server) -> None:
     with pools(server, "p", "q"):
         spawn(server)
         wait_for_shares(server, 4, 3)

@@ -14,13 +14,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 import zensim as api
-from tests.integration.processes import (
-    eventually,
-    kill,
-    read_json_line,
-    run_in_process,
-    running,
-)
+from tests.integration.processes import eventually, kill, read_json_line, run_in_process, running
 from tests.integration.processes import zensim as run_zensim
 from tests.recording.recordings import count_by_mcap, count_by_rosbags
 from zensim.api.recorder_process import RecorderProcess

@@ -83,9 +83,7 @@ def test_late_subscriber_has_the_roots_of_all_robots_in_the_queue_of_tf2(
     subscriber.undeclare()
 
 
-def test_subscriber_of_rmw_loses_no_transform_of_several_publishers(
-    session: zenoh.Session,
-) -> None:
+def test_subscriber_of_rmw_loses_no_transform_of_several_publishers(session: zenoh.Session) -> None:
     key = key_on_root(session, "/tf")
     every: list[bytes] = []
     plain = session.declare_subscriber(key, lambda one: every.append(identify(one)))

@@ -32,10 +32,7 @@ def moves(server: Server, name: str) -> None:
 def test_router_may_start_last_and_may_restart() -> None:
     endpoint = free_endpoint()
     connect = ("--connect", endpoint)
-    with (
-        running("agent", "r1", *connect),
-        running("serve", *connect) as process,
-    ):
+    with running("agent", "r1", *connect), running("serve", *connect) as process:
         with running("router", "--listen", endpoint) as router, connected(endpoint) as bus:
             server = Server(process, endpoint, bus, SimClient(bus))
             server.client.wait_for_server(START_S)

@@ -40,18 +40,8 @@ from zensim.proto.messages.simulation_messages import (
     SimulationState,
     State,
 )
-from zensim.proto.messages.spawn_messages import (
-    DeleteEntityRequest,
-    Resource,
-    SpawnEntityOrder,
-)
-from zensim.proto.messages.standard_messages import (
-    Point,
-    Pose,
-    PoseStamped,
-    Twist,
-    Vector3,
-)
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Twist, Vector3
 from zensim.proto.messages.telemetry_messages import AuditRecord
 from zensim.proto.security.roles import ROLES, User
 from zensim.proto.service_catalog import (
@@ -82,10 +72,7 @@ def make_order(name: str) -> SpawnEntityOrder:
     y = float(ROBOTS.index(name)) if name in ROBOTS else 3.0
     pose = PoseStamped(pose=Pose(position=Point(y=y)))
     return SpawnEntityOrder(
-        name=name,
-        entity_resource=Resource(uri="box_bot"),
-        entity_namespace=name,
-        initial_pose=pose,
+        name=name, entity_resource=Resource(uri="box_bot"), entity_namespace=name, initial_pose=pose
     )
 
 

@@ -77,10 +77,7 @@ def test_nothing_is_sent_while_nobody_listens_and_scans_come_soon_after() -> Non
 
 
 def test_scans_continue_when_one_of_two_processes_is_killed() -> None:
-    with (
-        serving("--world", "warehouse") as server,
-        running_sensors(server, "s1", "s2") as (one, _),
-    ):
+    with serving("--world", "warehouse") as server, running_sensors(server, "s1", "s2") as (one, _):
         names = spawn_lidar_bots(server, 4)
         scans = ScanHasher(server.bus.subscribe(SCAN.key("*"), DEPTH))
         wait_until_active(server, "s1", "s2")

@@ -97,10 +97,7 @@ def instant(name: str, major: int = 2, **parameters: object) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("standard", "root", "position"),
-    [
-        ("2.1", "uagv/v2/zensim", "agvPosition"),
-        ("3.0", "vda5050/v3/zensim", "mobileRobotPosition"),
-    ],
+    [("2.1", "uagv/v2/zensim", "agvPosition"), ("3.0", "vda5050/v3/zensim", "mobileRobotPosition")],
 )
 def test_vehicle_drives_an_order_with_an_update_and_an_action(
     sim: api.Sim, broker: Broker, standard: str, root: str, position: str

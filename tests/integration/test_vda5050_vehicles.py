@@ -8,12 +8,7 @@ import pytest
 import zensim as api
 from tests.integration.brokers import Broker, Master, State, serving_broker
 from tests.integration.journals import kill_hard, serving_with_journal
-from tests.integration.processes import (
-    free_endpoint,
-    read_json_line,
-    running,
-    running_agents,
-)
+from tests.integration.processes import free_endpoint, read_json_line, running, running_agents
 from tests.zensim.vda5050.orders import action, edge, node, order
 
 DRIVES = ("skid_bot", "omni_bot", "car_bot", "trike_bot")
@@ -84,8 +79,7 @@ def test_vehicle_stops_before_another_and_goes_on_when_it_is_gone(
             begin = master.wait("r1", lambda _: True)
             master.send("r1", "order", make_order(begin, (4.0, 0.0)))
             stopped = master.wait(
-                "r1",
-                lambda one: one["safetyState"]["fieldViolation"] and not one["driving"],
+                "r1", lambda one: one["safetyState"]["fieldViolation"] and not one["driving"]
             )
             other.delete()
             done = master.wait("r1", lambda one: one["lastNodeId"] == "n2" and not one["driving"])

@@ -121,10 +121,7 @@ def judge_waits(session: zenoh.Session, names: Sequence[str], seconds: float) ->
     scans, transforms = ([Arrivals(offset) for _ in names] for offset in (SCAN_STAMP, TF_STAMP))
     subscribers = [
         session.declare_subscriber(make_key(f"{name}/{topic}", kind), one.note)
-        for topic, kind, all_arrivals in (
-            ("scan", LaserScan, scans),
-            ("tf", TFMessage, transforms),
-        )
+        for topic, kind, all_arrivals in (("scan", LaserScan, scans), ("tf", TFMessage, transforms))
         for name, one in zip(names, all_arrivals, strict=True)
     ]
     threading.Event().wait(seconds)

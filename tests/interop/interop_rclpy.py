@@ -23,13 +23,7 @@ import numpy as np
 from benchmarks.figures import Figure
 from benchmarks.machine import ROOT
 from tests.integration.node_runs import WAIT, read_places
-from tests.integration.processes import (
-    START_S,
-    eventually,
-    free_endpoint,
-    read_json_line,
-    running,
-)
+from tests.integration.processes import START_S, eventually, free_endpoint, read_json_line, running
 from tests.integration.repeatable_run import state_hash
 from tests.integration.sensor_runs import read_stats, wait_until_active
 from tests.interop.acceptance import all_of, at_most, naming, none_of, within

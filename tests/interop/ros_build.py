@@ -125,7 +125,4 @@ def _find_libclang() -> dict[str, str]:
     printed = subprocess.run(
         ["gcc", "-print-file-name=include"], capture_output=True, text=True, check=True
     )
-    return {
-        "LIBCLANG_PATH": str(found),
-        "BINDGEN_EXTRA_CLANG_ARGS": f"-I{printed.stdout.strip()}",
-    }
+    return {"LIBCLANG_PATH": str(found), "BINDGEN_EXTRA_CLANG_ARGS": f"-I{printed.stdout.strip()}"}

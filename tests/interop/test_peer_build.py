@@ -82,10 +82,7 @@ def _without_cargo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("_without_cargo")
 @pytest.mark.parametrize(("required", "status"), [("", 0), ("require", 1)])
 def test_run_without_cargo_is_skipped_unless_it_is_required(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    required: str,
-    status: int,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], required: str, status: int
 ) -> None:
     monkeypatch.setenv("INTEROP", required)
 

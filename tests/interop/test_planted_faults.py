@@ -150,10 +150,7 @@ def respond(service: RosService, payload: bytes) -> SpawnEntityResponse | Delete
 def test_service_with_an_incomplete_queryable(
     bare_network: PeerNetwork, *, is_complete: bool, red: list[str]
 ) -> None:
-    with (
-        session_of(bare_network) as session,
-        serving_spawns(session, is_complete=is_complete),
-    ):
+    with session_of(bare_network) as session, serving_spawns(session, is_complete=is_complete):
         found = bare_network.run("spawn", "--clients", "2", "--calls", str(CALLS))
 
     rows = [row for row in judge_spawns("planted", CALLS, found) if not row.limit.is_timed]  # type: ignore[union-attr]

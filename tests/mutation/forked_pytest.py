@@ -131,11 +131,7 @@ def _run_and_exit(tree: Path, choice: ChosenTests, file: Path) -> None:
         _enter(tree)
         coverage = _measure(tree, choice.measured)
         recorder = _Recorder(choice, coverage)
-        words = [
-            *OPTIONS,
-            *(["-x"] if choice.is_ended_by_failure else ()),
-            *choice.files,
-        ]
+        words = [*OPTIONS, *(["-x"] if choice.is_ended_by_failure else ()), *choice.files]
         status = pytest.main(words, plugins=[recorder])
         if status not in PASSED and not recorder.run.failed:
             recorder.run.failed.append(f"pytest: status {int(status)}")

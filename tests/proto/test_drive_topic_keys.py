@@ -2,11 +2,7 @@
 
 import pytest
 
-from zensim.proto.drive_topic_keys import (
-    resolve_cmd_vel_key,
-    resolve_odom_key,
-    resolve_topic_key,
-)
+from zensim.proto.drive_topic_keys import resolve_cmd_vel_key, resolve_odom_key, resolve_topic_key
 from zensim.proto.messages.drive_messages import Compat, DiffDrive, RosBlock
 
 

@@ -13,9 +13,7 @@ from zensim.proto.bounded_http_server import IDLE_S, MAX_CONNECTIONS
 from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.metric_families import DurationHistogram, MetricFamily, make_counter
 from zensim.proto.metrics_address import UnusableMetrics
-from zensim.proto.operation_server import (
-    OperationServer,
-)
+from zensim.proto.operation_server import OperationServer
 from zensim.proto.program_status import ProgramStatus
 from zensim.proto.served_status import served_status
 
@@ -146,12 +144,7 @@ def test_metrics_are_what_a_client_of_prometheus_reads(
 
 @pytest.mark.parametrize("path", ["/livez", "/metrics", "/"])
 @pytest.mark.parametrize(
-    "headers",
-    [
-        {"Host": "evil.example"},
-        {"Host": ""},
-        {"Origin": "http://evil.example"},
-    ],
+    "headers", [{"Host": "evil.example"}, {"Host": ""}, {"Origin": "http://evil.example"}]
 )
 def test_page_of_another_site_reads_nothing(
     server: OperationServer, path: str, headers: dict[str, str]

@@ -10,10 +10,7 @@ import pytest
 
 from tests.contract.repository import ROOT
 from tests.integration.processes import eventually, kill
-from zensim.proto.parent_death import (
-    PARENT_PID_VARIABLE,
-    die_with_supervisor,
-)
+from zensim.proto.parent_death import PARENT_PID_VARIABLE, die_with_supervisor
 
 CHILD = """
 import os, time

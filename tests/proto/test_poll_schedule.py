@@ -1,12 +1,6 @@
 """Pauses between polls for states that come periodically."""
 
-from zensim.proto.poll_schedule import (
-    EAGER_POLL_S,
-    IDLE_S,
-    MAX_PAUSE_S,
-    MIN_PERIOD_S,
-    PollSchedule,
-)
+from zensim.proto.poll_schedule import EAGER_POLL_S, IDLE_S, MAX_PAUSE_S, MIN_PERIOD_S, PollSchedule
 
 
 def looks_between_states(

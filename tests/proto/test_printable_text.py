@@ -9,12 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.printable_text import (
-    PrintableFormatter,
-    print_lines,
-    printable,
-    printable_lines,
-)
+from zensim.proto.printable_text import PrintableFormatter, print_lines, printable, printable_lines
 
 HOSTILE = "\x1b[31m\x07\r\x9b\u202e\u2028\ud800\U000e0041"
 

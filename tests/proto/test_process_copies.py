@@ -13,10 +13,7 @@ import pytest
 
 from tests.integration.processes import eventually
 from zensim.proto.child_process import end_processes
-from zensim.proto.parent_death import (
-    PARENT_PID_VARIABLE,
-    set_subreaper,
-)
+from zensim.proto.parent_death import PARENT_PID_VARIABLE, set_subreaper
 from zensim.proto.process_copies import AdoptedProcess
 
 ENDS_S = 40.0

@@ -11,10 +11,7 @@ import psutil
 import pytest
 
 from tests.contract.repository import ROOT
-from zensim.proto.process_limits import (
-    limit_unacknowledged_time,
-    set_niceness,
-)
+from zensim.proto.process_limits import limit_unacknowledged_time, set_niceness
 
 LIMITED = """
 import resource as r

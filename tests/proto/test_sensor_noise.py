@@ -128,10 +128,7 @@ def test_noise_of_kind_none_changes_nothing() -> None:
 
 def test_noise_does_not_depend_on_the_steps_before() -> None:
     walking = Noise(
-        kind="gaussian",
-        stddev=0.1,
-        dynamic_bias_stddev=0.3,
-        dynamic_bias_correlation_time_s=2.0,
+        kind="gaussian", stddev=0.1, dynamic_bias_stddev=0.3, dynamic_bias_correlation_time_s=2.0
     )
     one = SensorNoise([walking], make_keys(3), ENVIRONMENT)
     other = SensorNoise([walking], make_keys(5)[:3], ENVIRONMENT)

@@ -63,8 +63,7 @@ def test_request_of_another_page_is_refused(hosts: list[str], origins: list[str]
 
 
 @pytest.mark.parametrize(
-    ("hosts", "is_admitted"),
-    [(["127.0.0.1:8765"], True), (["evil.example:8765"], False)],
+    ("hosts", "is_admitted"), [(["127.0.0.1:8765"], True), (["evil.example:8765"], False)]
 )
 def test_admitted_origin_is_accepted_at_a_name_of_this_host_only(
     hosts: list[str], *, is_admitted: bool

@@ -13,8 +13,7 @@ Float32 = Annotated[float, msgspec.Meta(extra={"cdr": "f"})]
 Float64 = Annotated[float, msgspec.Meta(extra={"cdr": "d"})]
 Flags3 = Annotated[tuple[bool, ...], msgspec.Meta(min_length=3, max_length=3, extra={"length": 3})]
 Shorts2 = Annotated[
-    tuple[UInt16, ...],
-    msgspec.Meta(min_length=2, max_length=2, extra={"cdr": "H", "length": 2}),
+    tuple[UInt16, ...], msgspec.Meta(min_length=2, max_length=2, extra={"cdr": "H", "length": 2})
 ]
 
 

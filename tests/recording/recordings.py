@@ -10,12 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
-from zensim.proto.messages.standard_messages import (
-    Header,
-    Odometry,
-    String,
-    Time,
-)
+from zensim.proto.messages.standard_messages import Header, Odometry, String, Time
 from zensim.proto.network_protocols import Sample
 from zensim.proto.ros2.message_definitions import write_definition
 from zensim.recording.mcap_records import AttachedFile, Channel, Metadata, Schema

@@ -10,11 +10,7 @@ from zensim.proto.messages.standard_messages import (
     TFMessage,
     TransformStamped,
 )
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_10,
-    Qos,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_10, Qos
 from zensim.recording.mcap_records import Channel, Metadata, Schema
 from zensim.recording.mcap_writer import McapWriter
 from zensim.recording.output_file import OutputFile

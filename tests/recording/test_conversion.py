@@ -8,11 +8,7 @@ import pytest
 from tests.recording.recordings import count_by_mcap, count_by_rosbags, write_recording
 from tests.recording.replays import SECOND, START_NS, make_text, write_run
 from zensim.recording.bag_info import read_info
-from zensim.recording.conversion import (
-    ConversionResult,
-    ConversionSettings,
-    convert_recordings,
-)
+from zensim.recording.conversion import ConversionResult, ConversionSettings, convert_recordings
 from zensim.recording.mcap_writer import PRESETS
 from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.recording_reader import RecordingReader, StoredMessage, StoredTopic

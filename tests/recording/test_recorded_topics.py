@@ -117,12 +117,7 @@ def test_stamp_is_read_from_the_bytes(message: msgspec.Struct, stamp_ns: int | N
 
 @pytest.mark.parametrize(
     ("stamp_ns", "time_ns"),
-    [
-        (STAMP_NS, STAMP_NS),
-        (None, CLOCK_NS),
-        (1_700_000_000_000_000_000, CLOCK_NS),
-        (0, CLOCK_NS),
-    ],
+    [(STAMP_NS, STAMP_NS), (None, CLOCK_NS), (1_700_000_000_000_000_000, CLOCK_NS), (0, CLOCK_NS)],
     ids=["simulation", "none", "time of day", "zero"],
 )
 def test_time_is_the_stamp_unless_it_is_of_another_clock(

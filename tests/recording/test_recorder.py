@@ -460,10 +460,7 @@ def put_clock(bus: MemoryBus, time_s: float, *, epoch: int) -> None:
     ids=["stamped", "none", "unstamped", "many", "wall"],
 )
 def test_messages_are_taken_as_often_as_their_times_need(
-    bus: MemoryBus,
-    messages: tuple[msgspec.Struct, ...],
-    settings: dict[str, Any],
-    period_s: float,
+    bus: MemoryBus, messages: tuple[msgspec.Struct, ...], settings: dict[str, Any], period_s: float
 ) -> None:
     chosen = TopicFilter(TopicSelection(topics=("r1/*",)))
     made = RecorderSettings(world=WORLD, domain=None, **settings)

@@ -79,10 +79,7 @@ def test_recording_that_was_cut_off_is_continued_in_the_next_file(
     first, second = (
         (path / "run_0.mcap", path / "run_1.mcap")
         if name == "run"
-        else (
-            path,
-            tmp_path / "run_1.mcap",
-        )
+        else (path, tmp_path / "run_1.mcap")
     )
     assert [read_info(one).messages for one in (first, second)] == [1, 1]
     with Reader(first.parent) as reader:

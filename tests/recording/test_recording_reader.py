@@ -10,10 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.recording.recordings import define_topics, write_recording
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_10,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_10
 from zensim.recording import recording_reader
 from zensim.recording.file_index import ChunkPlace
 from zensim.recording.mcap_records import AttachedFile, Channel, MalformedRecord, Metadata, Schema

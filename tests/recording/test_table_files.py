@@ -77,11 +77,7 @@ def test_pandas_and_polars_read_equal_values(recording: Path, tmp_path: Path) ->
     assert other["header.frame_id"].to_list()[:3] == ["r0/odom", "r1/odom", "r2/odom"]
     facts = json.loads((tmp_path / "tables" / "columns.json").read_text())
     assert facts["odom"]["columns"]["pose.pose.position.x"] == "m"
-    assert {name: one["rows"] for name, one in facts.items()} == {
-        "notes": 1,
-        "odom": ROWS,
-        "tf": 2,
-    }
+    assert {name: one["rows"] for name, one in facts.items()} == {"notes": 1, "odom": ROWS, "tf": 2}
 
 
 def test_csv_and_npz_have_the_same_values(recording: Path, tmp_path: Path) -> None:

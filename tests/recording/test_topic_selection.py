@@ -6,12 +6,7 @@ from zensim.proto import keys
 from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
 from zensim.proto.ros2.qos_profiles import Qos
 from zensim.proto.topic_catalog import ROBOT_TOPICS, find_robot_topic
-from zensim.recording.topic_selection import (
-    TopicFilter,
-    TopicSelection,
-    list_keys,
-    list_ros_keys,
-)
+from zensim.recording.topic_selection import TopicFilter, TopicSelection, list_keys, list_ros_keys
 
 ALL = TopicSelection(wants_all=True)
 

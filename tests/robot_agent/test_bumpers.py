@@ -13,14 +13,8 @@ from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.gazebo_messages import ContactsState
 from zensim.proto.messages.model_messages import Model, Sensor
-from zensim.proto.messages.sensing_messages import (
-    Contacts,
-    Environment,
-)
-from zensim.proto.messages.sensor_messages import (
-    ContactSensor,
-    SensorTopic,
-)
+from zensim.proto.messages.sensing_messages import Contacts, Environment
+from zensim.proto.messages.sensor_messages import ContactSensor, SensorTopic
 from zensim.proto.messages.standard_messages import Header, Time, Vector3, time_from_ns
 from zensim.robot_agent.bumpers import make_bumpers, read_contact_report
 from zensim.robot_agent.pool.pooled_robots import PooledRobots

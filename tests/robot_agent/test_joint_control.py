@@ -8,16 +8,8 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim, a_state, an_arm_bot
 from zensim.proto.messages.drive_messages import JointTargetKind
-from zensim.proto.messages.model_messages import (
-    CommandInterface,
-    JointController,
-    Model,
-)
-from zensim.proto.messages.standard_messages import (
-    NANOSECONDS,
-    Float64MultiArray,
-    JointState,
-)
+from zensim.proto.messages.model_messages import CommandInterface, JointController, Model
+from zensim.proto.messages.standard_messages import NANOSECONDS, Float64MultiArray, JointState
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.joint_control import JointControl
 from zensim.robot_agent.robots import IndividualRobots

@@ -133,8 +133,7 @@ def test_goal_begins_now_or_at_its_stamp() -> None:
         ),
         (
             msgspec.structs.replace(
-                GOOD,
-                trajectory=msgspec.structs.replace(GOOD.trajectory, header=Header(Time(1))),
+                GOOD, trajectory=msgspec.structs.replace(GOOD.trajectory, header=Header(Time(1)))
             ),
             TrajectoryCode.OLD_HEADER_TIMESTAMP,
         ),

@@ -5,12 +5,7 @@ from hypothesis import strategies as st
 
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr_template import CdrTemplate
-from zensim.proto.message_paths import (
-    HEADER_STAMP,
-    ODOMETRY_PATHS,
-    list_tf_paths,
-    list_tf_stamps,
-)
+from zensim.proto.message_paths import HEADER_STAMP, ODOMETRY_PATHS, list_tf_paths, list_tf_stamps
 from zensim.proto.messages.standard_messages import (
     Header,
     Quaternion,

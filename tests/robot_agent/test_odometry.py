@@ -7,14 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto.drives.column_math import FLOAT_MATH
-from zensim.proto.messages.drive_messages import (
-    DiffDrive,
-    WheelPair,
-)
-from zensim.proto.messages.model_messages import (
-    IDENTITY,
-    Origin,
-)
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
+from zensim.proto.messages.model_messages import IDENTITY, Origin
 from zensim.proto.messages.standard_messages import Header, Time
 from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.robot_agent.odometry import (

@@ -11,10 +11,7 @@ from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, a_claim, two_wheele
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import DiffDrive, RosBlock
-from zensim.proto.messages.model_messages import (
-    JointStatePublisher,
-    Model,
-)
+from zensim.proto.messages.model_messages import JointStatePublisher, Model
 from zensim.proto.messages.standard_messages import (
     Header,
     JointState,
@@ -262,11 +259,7 @@ def test_replies_have_the_last_values_until_a_reset() -> None:
 
     motion.publish(state(), MOTION)
     joints.publish(state())
-    assert {sample.key for sample in bus.get("r1/*")} == {
-        "r1/odom",
-        "r1/tf",
-        "r1/joint_states",
-    }
+    assert {sample.key for sample in bus.get("r1/*")} == {"r1/odom", "r1/tf", "r1/joint_states"}
 
     motion.reset()
     joints.reset()

@@ -11,10 +11,7 @@ from tests.engines import STEP_NS, MakeEngine
 from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from zensim.proto.messages.drive_messages import Compat
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sensor
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SphericalCoordinates,
-)
+from zensim.proto.messages.sensing_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.sensor_messages import (
     AirPressureSensor,
     AltimeterSensor,

@@ -12,10 +12,7 @@ from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.drive_messages import RosBlock
-from zensim.proto.messages.model_messages import (
-    GroundTruth,
-    Origin,
-)
+from zensim.proto.messages.model_messages import GroundTruth, Origin
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.se3 import from_rpy
 from zensim.proto.topic_endpoints import TopicFactory

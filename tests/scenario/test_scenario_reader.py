@@ -57,10 +57,7 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         "zensim: 1\nrobots:\n  - {name: 1a, model: box_bot}\n",
         [(3, 12, "robots[0].name")],
     ),
-    "same_robot_twice": (
-        HEAD + "  - {name: cart1, model: box_bot}\n",
-        [(4, 12, "robots[1].name")],
-    ),
+    "same_robot_twice": (HEAD + "  - {name: cart1, model: box_bot}\n", [(4, 12, "robots[1].name")]),
     "zero_robots": (
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, count: 0}\n",
         [(3, 38, "robots[0].count")],
@@ -135,10 +132,7 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         HEAD + "checks:\n  - {name: c, robots: cart0, that: distance, above: 1}\n",
         [(5, 23, "checks[0].robots")],
     ),
-    "check_without_limit": (
-        HEAD + "checks:\n  - {name: c, that: speed}\n",
-        [(5, 5, "checks[0]")],
-    ),
+    "check_without_limit": (HEAD + "checks:\n  - {name: c, that: speed}\n", [(5, 5, "checks[0]")]),
     "reached_without_time": (
         HEAD + "checks:\n  - {name: c, that: reached, point: [1, 2]}\n",
         [(5, 5, "checks[0]")],

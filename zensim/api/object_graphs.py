@@ -460,11 +460,7 @@ _SLOTS: dict[type, tuple[str, ...]] = {}
 _ATTRIBUTES: dict[type, tuple[tuple[str, ...], frozenset[str] | None]] = {}
 _OWN: dict[tuple[type, str], Callable[..., Any] | None] = {}
 _CHECKED: set[tuple[type, tuple[str, ...]]] = set()
-_MAPPINGS: Final[dict[str, type]] = {
-    "dict": dict,
-    "ordered": OrderedDict,
-    "counter": Counter,
-}
+_MAPPINGS: Final[dict[str, type]] = {"dict": dict, "ordered": OrderedDict, "counter": Counter}
 _WRITERS: dict[type, Writer] = {
     int: lambda _, value: ["integer", str(value)],
     bytearray: lambda _, value: ["bytearray", bytes(value)],

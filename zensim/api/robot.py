@@ -69,10 +69,7 @@ class EntityHandle:
         if self._report is None:
             entry = self._session.find_entry(self._name)
             self._report = SpawnReport(
-                self._name,
-                entry.namespace,
-                entry.model.report,
-                drive=name_drive(entry.model.drive),
+                self._name, entry.namespace, entry.model.report, drive=name_drive(entry.model.drive)
             )
         return self._report
 

@@ -243,11 +243,7 @@ class Batch(ClosedOnExit):
         with _as_unsupported():
             replicas = self._replicas.save()
         return BatchState(
-            self._steps.copy(),
-            self._time_ns,
-            replicas,
-            self._drives.save(),
-            self._sensors.save(),
+            self._steps.copy(), self._time_ns, replicas, self._drives.save(), self._sensors.save()
         )
 
     def load(self, state: "BatchState") -> None:

@@ -30,11 +30,7 @@ class _DrivesOfKind:
     """The drives of all robots of one kind; rows world by world."""
 
     def __init__(
-        self,
-        kind: _KindKey,
-        places: list[int],
-        starts: tuple[PlaceArray, PlaceArray],
-        worlds: int,
+        self, kind: _KindKey, places: list[int], starts: tuple[PlaceArray, PlaceArray], worlds: int
     ) -> None:
         """Find the indexes.
 

@@ -37,11 +37,7 @@ class BatchSensors:
     """What a batch measures; the noise of a world depends on its seed and its own step alone."""
 
     def __init__(
-        self,
-        server: WorldHost,
-        layout: WorldLayout,
-        worlds: int,
-        names: Sequence[SensorName],
+        self, server: WorldHost, layout: WorldLayout, worlds: int, names: Sequence[SensorName]
     ) -> None:
         """Find the sensors.
 
@@ -83,10 +79,7 @@ class BatchSensors:
                     part.restart(world, seed)
 
     def take(
-        self,
-        times_ns: Sequence[int],
-        base: FloatArray,
-        joints: tuple[FloatArray, FloatArray],
+        self, times_ns: Sequence[int], base: FloatArray, joints: tuple[FloatArray, FloatArray]
     ) -> None:
         """Take the states after a control step.
 
@@ -306,10 +299,7 @@ class BatchImus:
         self._units[world].remap(identities, np.full(len(identities), NEW_ROW))
 
     def take(
-        self,
-        times_ns: Sequence[int],
-        base: FloatArray,
-        joints: tuple[FloatArray, FloatArray],
+        self, times_ns: Sequence[int], base: FloatArray, joints: tuple[FloatArray, FloatArray]
     ) -> None:
         """See `BatchSensors.take`."""
         own = base[:, self._layout.robots]

@@ -66,10 +66,7 @@ class FunctionalEnv(ClosedOnExit):
         return self._state, observations
 
     def step(
-        self,
-        state: EpisodesState,
-        actions: npt.ArrayLike,
-        restarted: "BoolArray | None" = None,
+        self, state: EpisodesState, actions: npt.ArrayLike, restarted: "BoolArray | None" = None
     ) -> tuple[EpisodesState, Outcome]:
         """Find what follows a state.
 

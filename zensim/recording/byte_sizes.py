@@ -3,15 +3,7 @@
 from typing import Final
 
 MEBI: Final = 1 << 20
-UNITS: Final = {
-    "": 1,
-    "k": 1000,
-    "m": 1000**2,
-    "g": 1000**3,
-    "ki": 1024,
-    "mi": MEBI,
-    "gi": 1024**3,
-}
+UNITS: Final = {"": 1, "k": 1000, "m": 1000**2, "g": 1000**3, "ki": 1024, "mi": MEBI, "gi": 1024**3}
 MAX_BYTES: Final = 1e18
 
 

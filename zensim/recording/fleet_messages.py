@@ -165,9 +165,7 @@ class _FleetGroup:
         found = [one.templates for one in members if one.templates is not None]
         self._topics = [one.topic for one in found if one.topic is not None]
         self._odometry = CdrBatch(
-            [one.odometry for one in found if one.topic is not None],
-            ODOMETRY_PATHS,
-            HEADER_STAMP,
+            [one.odometry for one in found if one.topic is not None], ODOMETRY_PATHS, HEADER_STAMP
         )
         parts = layout.parts or _TransformParts((), ())
         self._tf_topics = [one.tf_topic for one in found if one.tf_topic is not None]

@@ -84,10 +84,7 @@ class RecordedTopic(msgspec.Struct, frozen=True, eq=False):
 
     def metadata(self) -> dict[str, str]:
         """Write what ROS 2 keeps with a channel: QoS and type hash."""
-        return {
-            QOS_METADATA: write_qos_profiles(self.qos),
-            HASH_METADATA: hash_type(self.kind),
-        }
+        return {QOS_METADATA: write_qos_profiles(self.qos), HASH_METADATA: hash_type(self.kind)}
 
 
 RecordedMessage = tuple[RecordedTopic, int, int, bytes]

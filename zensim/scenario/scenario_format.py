@@ -43,8 +43,7 @@ class LayoutSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
     radius: (
         Annotated[
-            float,
-            quantity("m", "Radius of the circle, or half of the square's side.", above=0.0),
+            float, quantity("m", "Radius of the circle, or half of the square's side.", above=0.0)
         ]
         | None
     ) = None
@@ -363,8 +362,7 @@ class PythonCheck(CheckOfRobots, frozen=True, kw_only=True, tag="python"):
     """A class of the author: `__init__(robots, **args)`, `update(now, state) -> margin`."""
 
     call: Annotated[
-        str,
-        msgspec.Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class."),
+        str, msgspec.Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class.")
     ]
     args: Annotated[dict[str, Any], described("Keyword arguments of the class.")] = {}
 

@@ -13,10 +13,7 @@ from zensim.scenario.quantities import described, quantity
 
 SETTING: Final = re.compile(r"`(\w+)`")
 """A setting that a text names."""
-Name = Annotated[
-    str,
-    msgspec.Meta(pattern=NAME_PATTERN, description="Letters, digits and _."),
-]
+Name = Annotated[str, msgspec.Meta(pattern=NAME_PATTERN, description="Letters, digits and _.")]
 Selector = str | tuple[str, ...]
 """Names of robots: a name, a pattern with `*`, `?` or `[1-4]`, or a list of them."""
 MAX_INTEGER: Final = (1 << 63) - 1

@@ -258,11 +258,7 @@ class TypedReader:
         return self.read(node, plan.choose(node), path, unit)
 
     def _read_tagged(
-        self,
-        node: ScenarioNode,
-        by_tag: Mapping[str, inspect.StructType],
-        field: str,
-        path: str,
+        self, node: ScenarioNode, by_tag: Mapping[str, inspect.StructType], field: str, path: str
     ) -> PlainValue:
         if not isinstance(node.value, dict) or field not in node.value:
             self.refuse(node.place, path, f"the key `{field}` is missing; one of {_join(by_tag)}")

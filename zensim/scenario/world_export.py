@@ -148,10 +148,7 @@ def _describe_robots(sim: Simulation, stem: str, files: dict[str, str]) -> Itera
 
     for (number, _), group in groupby(spawned, key):
         entities = list(group)
-        entry: dict[str, object] = {
-            "name": _name_group(entities, taken),
-            "model": models[number],
-        }
+        entry: dict[str, object] = {"name": _name_group(entities, taken), "model": models[number]}
         if entities[0].namespace != entities[0].entity:
             entry["namespace"] = entities[0].namespace
         if not any(one.agent for one in entities) and not _is_driven(response.models, entities[0]):

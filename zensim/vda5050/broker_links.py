@@ -87,12 +87,7 @@ class BrokerLinks:
     """All connections; call `poll` again and again."""
 
     def __init__(
-        self,
-        address: BrokerAddress,
-        *,
-        topic_root: str,
-        version: str,
-        note: Callable[[str], None],
+        self, address: BrokerAddress, *, topic_root: str, version: str, note: Callable[[str], None]
     ) -> None:
         """Connect nothing yet.
 

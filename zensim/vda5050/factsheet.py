@@ -80,11 +80,7 @@ def _describe_limits(settings: FleetSettings, *, is_3: bool) -> Message:
     arrays = dict.fromkeys((*ARRAYS, "trajectory.controlPoints"), MAX_ITEMS)
     if is_3:
         lengths = {"maximumMessageLength": MAX_MESSAGE_BYTES, "maximumIdLength": 256}
-        return {
-            "maximumStringLengths": lengths,
-            "maximumArrayLengths": arrays,
-            "timing": timing,
-        }
+        return {"maximumStringLengths": lengths, "maximumArrayLengths": arrays, "timing": timing}
     return {
         "maxStringLens": {"msgLen": MAX_MESSAGE_BYTES, "idLen": 256},
         "maxArrayLens": arrays,

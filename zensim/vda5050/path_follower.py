@@ -245,11 +245,7 @@ def _aim(
 
 
 def _limit_speed(
-    table: RouteTable,
-    rows: npt.NDArray[np.intp],
-    s: FloatArray,
-    left: FloatArray,
-    dt_s: float,
+    table: RouteTable, rows: npt.NDArray[np.intp], s: FloatArray, left: FloatArray, dt_s: float
 ) -> FloatArray:
     c = table.cursor
     after = np.minimum(c + 1, table.x.shape[1] - 1)
@@ -264,11 +260,7 @@ def _limit_speed(
 
 
 def _steer(
-    table: RouteTable,
-    speed: FloatArray,
-    toward: FloatArray,
-    distance: FloatArray,
-    yaw: FloatArray,
+    table: RouteTable, speed: FloatArray, toward: FloatArray, distance: FloatArray, yaw: FloatArray
 ) -> FloatArray:
     """Find twists of a speed toward a point, by pure pursuit."""
     c = table.cursor

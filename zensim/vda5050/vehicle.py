@@ -152,11 +152,7 @@ class Vehicle:
             self._reject_payload(payload, str(error))
             return
         facts = VehicleFacts(
-            self.major,
-            pose.position,
-            self.map_id,
-            self._actions,
-            self._settings.start_tolerance_m,
+            self.major, pose.position, self.map_id, self._actions, self._settings.start_tolerance_m
         )
         try:
             found = accept(self.progress, order, facts)

@@ -82,11 +82,7 @@ def too_many_error(name: str, count: int) -> ModelError:
 
 
 def mesh_error(
-    name: str,
-    fault: str,
-    *,
-    slug: str,
-    code: int = SpawnCode.UNSUPPORTED_ASSETS,
+    name: str, fault: str, *, slug: str, code: int = SpawnCode.UNSUPPORTED_ASSETS
 ) -> ModelError:
     """Make the refusal of a mesh file, by its URI and what is wrong with it."""
     return ModelError(f"mesh {quote(name)} {fault}", code=code, slug=slug)

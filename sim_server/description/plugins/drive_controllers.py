@@ -217,10 +217,7 @@ def _mirror(lowest: float | None, highest: float | None) -> tuple[float | None, 
         highest = None if lowest is None else -lowest
     if lowest is None:
         lowest = None if highest is None else -highest
-    return (
-        None if lowest is None else -abs(lowest),
-        None if highest is None else abs(highest),
-    )
+    return (None if lowest is None else -abs(lowest), None if highest is None else abs(highest))
 
 
 def _make_diff(*_: object) -> DiffDrive:
@@ -636,11 +633,7 @@ DRIVE_CONTROLLERS = (
         make=_make_diff,
         parameters=COMMON,
         complete=_read_diff,
-        aliases=ALIASES
-        | {
-            "left_wheel": "left_wheel_names",
-            "right_wheel": "right_wheel_names",
-        },
+        aliases=ALIASES | {"left_wheel": "left_wheel_names", "right_wheel": "right_wheel_names"},
         unused=UNUSED,
     ),
     DrivePlugin(

@@ -348,11 +348,7 @@ def _order_steering(order: DriveOrder, lumped: LumpedModel, base: str) -> Steeri
             complete_two_axles(drive, names[:2], names[2:], lumped=lumped, choose=choose), lumped
         )
     completed = complete_steering(
-        drive,
-        order.joints[:driven],
-        order.joints[driven:],
-        lumped=lumped,
-        choose=choose,
+        drive, order.joints[:driven], order.joints[driven:], lumped=lumped, choose=choose
     )
     return _reverse_wheels(completed, lumped)
 

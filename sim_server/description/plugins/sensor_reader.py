@@ -192,8 +192,7 @@ def _place_plugins(
         body = next(filter(None, (plugin.findtext(tag) for tag in BODY_TAGS)), "").strip()
         if body and body not in links:
             report.suspicious(
-                f"plugin {quote(plugin.get('name'))}",
-                f"no sensor: {quote(body)} is not a link",
+                f"plugin {quote(plugin.get('name'))}", f"no sensor: {quote(body)} is not a link"
             )
         else:
             yield SensorElement(body or lumped.links[0].name, plugin)
@@ -260,10 +259,7 @@ def _choose_plugin(element: Element, subject: str, report: ParseReport) -> Eleme
 
 
 def _read_sensor(
-    tag: SensorElement,
-    source: SensorSource,
-    camera: Element | None,
-    place: tuple[str, Origin],
+    tag: SensorElement, source: SensorSource, camera: Element | None, place: tuple[str, Origin]
 ) -> Sensor:
     link, origin = place
     if tag.element.tag == PLUGIN_TAG:
@@ -292,12 +288,7 @@ def _read_sensor(
         return sensor
     frame = _read_frame(source, settings)
     _report_unread(source)
-    return msgspec.structs.replace(
-        sensor,
-        settings=settings,
-        topics=topics,
-        frame_id=frame,
-    )
+    return msgspec.structs.replace(sensor, settings=settings, topics=topics, frame_id=frame)
 
 
 def _report_not_simulated(source: SensorSource) -> None:

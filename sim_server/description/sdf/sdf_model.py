@@ -240,8 +240,7 @@ def _add_links(model: Element, scope: str, found: FlattenedModel) -> None:
         found.attached_to[PoseGraph.full_name(scope, MODEL_FRAME)] = to_scoped_name(scope, carrier)
     if len(found.links) > MAX_LINKS:
         raise ModelError(
-            f"the model has more than {MAX_LINKS} links; use at most {MAX_LINKS}",
-            slug="sdf.size",
+            f"the model has more than {MAX_LINKS} links; use at most {MAX_LINKS}", slug="sdf.size"
         )
 
 
@@ -261,8 +260,7 @@ def _add_frames(model: Element, scope: str, found: FlattenedModel) -> None:
     frames, joints = model.findall("frame"), model.findall("joint")
     if len(found.attached_to) + len(frames) + len(joints) > MAX_FRAMES:
         raise ModelError(
-            f"the model has more than {MAX_FRAMES} frames and joints; use fewer",
-            slug="sdf.size",
+            f"the model has more than {MAX_FRAMES} frames and joints; use fewer", slug="sdf.size"
         )
     for element in frames:
         where = f"frame {quote(element.get('name'))}"

@@ -215,10 +215,7 @@ def apply_transparency(colour: Quat | None, transparency: float) -> Quat | None:
 def make_ground_slab(plane: Shape) -> Shape:
     """Make the collision of a plane: a wide slab below it; Gazebo's is infinite."""
     return msgspec.structs.replace(
-        plane,
-        kind="box",
-        size=GROUND_SLAB_M,
-        origin=compose(plane.origin, GROUND_SLAB_ORIGIN),
+        plane, kind="box", size=GROUND_SLAB_M, origin=compose(plane.origin, GROUND_SLAB_ORIGIN)
     )
 
 
@@ -259,8 +256,7 @@ def _read_round_solid(solid: Element, where: str) -> Shape:
 def _check_size(shape: Shape, count: int, where: str) -> Shape:
     if min(shape.size[:count]) <= 0.0:
         raise ModelError(
-            f"{where}: {shape.kind} of size {shape.size[:count]}; use sizes > 0",
-            slug="sdf.size",
+            f"{where}: {shape.kind} of size {shape.size[:count]}; use sizes > 0", slug="sdf.size"
         )
     return shape
 

@@ -137,10 +137,7 @@ def read_pose(owner: Element, where: str) -> RelativePose:
         return RelativePose(frame=frame)
     is_quaternion = format_ == QUATERNION_FORMAT
     numbers = read_numbers(
-        pose.text,
-        counts=(7,) if is_quaternion else (6,),
-        where=f"{where}, pose",
-        slug="sdf.pose",
+        pose.text, counts=(7,) if is_quaternion else (6,), where=f"{where}, pose", slug="sdf.pose"
     )
     x, y, z = numbers[:3]
     if max(map(abs, (x, y, z))) > MAX_POSITION_M:

@@ -340,8 +340,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
     models = world.findall("model")
     if len(models) > MAX_MODELS:
         raise ModelError(
-            f"the world has {len(models)} models; use at most {MAX_MODELS}",
-            slug="sdf.size",
+            f"the world has {len(models)} models; use at most {MAX_MODELS}", slug="sdf.size"
         )
     names = [read_name(model, "model") for model in models]
     check_sibling_names(world, draft.report)

@@ -28,9 +28,7 @@ ORIGIN = ElementRule(attributes={"xyz": THREE, "rpy": THREE})
 COLOUR = ElementRule(attributes={"rgba": (3, 4)})
 TEXTURE = ElementRule(attributes={"filename": TEXT})
 MATERIAL = ElementRule(
-    attributes={"name": TEXT},
-    children={"color": COLOUR, "texture": TEXTURE},
-    can_be_left_out=True,
+    attributes={"name": TEXT}, children={"color": COLOUR, "texture": TEXTURE}, can_be_left_out=True
 )
 GEOMETRY = ElementRule(
     is_choice=True,
@@ -115,8 +113,7 @@ JOINT = ElementRule(
         ),
         "joint_properties": ElementRule(unread="of 2009; write <dynamics>"),
         "mimic": ElementRule(
-            attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE},
-            required=("joint",),
+            attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE}, required=("joint",)
         ),
         "calibration": ElementRule(
             attributes=dict.fromkeys(("rising", "falling", "reference_position"), ONE),
@@ -200,11 +197,7 @@ _VALUE = ElementRule(attributes={"value": ANY_TEXT})
 
 def _make_block(children: dict[str, ElementRule]) -> ElementRule:
     """Make the rule of a <gazebo>, whose last of equal tags is used."""
-    return ElementRule(
-        attributes={"reference": ANY_TEXT},
-        children=children,
-        many=tuple(children),
-    )
+    return ElementRule(attributes={"reference": ANY_TEXT}, children=children, many=tuple(children))
 
 
 GAZEBO_OF_MODEL = _make_block(

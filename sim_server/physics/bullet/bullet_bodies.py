@@ -425,11 +425,7 @@ def make_collision_shape_arguments(
 
 
 def make_multibody_arguments(
-    blueprint: Blueprint,
-    *,
-    shapes: Sequence[int],
-    visual: int,
-    kinds: Mapping[str, int],
+    blueprint: Blueprint, *, shapes: Sequence[int], visual: int, kinds: Mapping[str, int]
 ) -> BulletArguments:
     """Make the arguments of createMultiBody but for the pose.
 

@@ -143,12 +143,7 @@ class WorkerCellExecutor:
     """Cells shared evenly by this process and worker processes."""
 
     def __init__(
-        self,
-        make: Callable[[], Engine],
-        orders: object,
-        *,
-        workers: int,
-        cell_bytes: int = 0,
+        self, make: Callable[[], Engine], orders: object, *, workers: int, cell_bytes: int = 0
     ) -> None:
         """Prepare to make cells.
 

@@ -135,8 +135,7 @@ class CelledEngine(Engine):
         cells = assign_cells(np.zeros(len(moving), np.intp), groups, positions, capacity).tolist()
         rows = zip(own_models, own_places, cells, strict=True)
         self._cell_map.plan(
-            [model for model in models if not can_move(model)],
-            [ExpectedBody(*row) for row in rows],
+            [model for model in models if not can_move(model)], [ExpectedBody(*row) for row in rows]
         )
 
     def insert(self, body: int, model: Model, base: FloatArray) -> None:

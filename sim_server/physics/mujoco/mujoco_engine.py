@@ -450,9 +450,7 @@ class MujocoEngine(SteppedWorld, Engine):
         return archetype
 
     def _start_with(
-        self,
-        compiled: CompiledModel,
-        arrays: tuple[mujoco.MjModel, mujoco.MjData] | None = None,
+        self, compiled: CompiledModel, arrays: tuple[mujoco.MjModel, mujoco.MjData] | None = None
     ) -> None:
         """Use a model, all slots inactive; None = model and data of its own."""
         self._compiled = compiled

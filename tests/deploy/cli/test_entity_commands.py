@@ -71,22 +71,10 @@ def test_list_does_not_wrap_long_names(two: Server) -> None:
 @pytest.mark.parametrize(
     ("options", "status", "line"),
     [
-        (
-            ("--category", "rbot"),
-            ExitCode.USAGE,
-            "zensim list: ",
-        ),
+        (("--category", "rbot"), ExitCode.USAGE, "zensim list: "),
         (("--filter", "("), ExitCode.FAILED, "zensim list: "),
-        (
-            ("--world-name", "mars"),
-            ExitCode.UNREACHABLE,
-            "zensim list: ",
-        ),
-        (
-            ("-w", "--world-name", "mars"),
-            ExitCode.UNREACHABLE,
-            "zensim list: ",
-        ),
+        (("--world-name", "mars"), ExitCode.UNREACHABLE, "zensim list: "),
+        (("-w", "--world-name", "mars"), ExitCode.UNREACHABLE, "zensim list: "),
     ],
 )
 def test_list_fails_with_one_line(

@@ -34,8 +34,7 @@ def test_host_is_described_by_python_packages_engines_and_cache(caches: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("result", "mark", "status"),
-    [(SOUND, "ok", ExitCode.OK), (WRONG, "wrong", ExitCode.FAILED)],
+    ("result", "mark", "status"), [(SOUND, "ok", ExitCode.OK), (WRONG, "wrong", ExitCode.FAILED)]
 )
 def test_engine_is_shown_with_version_result_and_age(
     result: CaseResult, mark: FindingMark, status: ExitCode

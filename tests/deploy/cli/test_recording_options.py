@@ -43,10 +43,7 @@ ROSBAG2_OPTIONS = {
     ids=lambda one: " ".join(one[-2:]) if isinstance(one, tuple) else "",
 )
 def test_number_that_is_no_time_is_refused(
-    app: typer.Typer,
-    words: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    app: typer.Typer, words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
 

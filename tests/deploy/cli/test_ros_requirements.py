@@ -23,11 +23,7 @@ from zensim.proto.messages.standard_messages import (
     TwistWithCovariance,
 )
 from zensim.proto.ros2.liveliness_tokens import AnnouncedEndpoint
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_5,
-    Qos,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_5, Qos
 
 ONES = tuple(1.0 for _ in range(36))
 ZEROS = tuple(0.0 for _ in range(36))
@@ -254,12 +250,7 @@ MISSING: dict[str, tuple[RosStack, RobotTopics, str, FindingMark]] = {
         "fixed frame",
         "note",
     ),
-    "nodes out of reach": (
-        RosStack.NAV2,
-        replace(WHOLE, unreachable=("/far",)),
-        "hosts",
-        "note",
-    ),
+    "nodes out of reach": (RosStack.NAV2, replace(WHOLE, unreachable=("/far",)), "hosts", "note"),
     "mesh not here": (
         RosStack.RVIZ,
         replace(WHOLE, meshes={"package://r1/body.stl": "no such file"}),

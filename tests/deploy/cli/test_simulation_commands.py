@@ -111,25 +111,13 @@ def test_interrupt_cancels_and_prints_the_completed_steps(server: Server) -> Non
 @pytest.mark.parametrize(
     ("arguments", "status", "line"),
     [
-        (
-            ("step", "0"),
-            ExitCode.FAILED,
-            "zensim step: ",
-        ),
-        (
-            ("run-to", "nan"),
-            ExitCode.USAGE,
-            "zensim run-to: ",
-        ),
+        (("step", "0"), ExitCode.FAILED, "zensim step: "),
+        (("run-to", "nan"), ExitCode.USAGE, "zensim run-to: "),
         (("run-to", "1e300"), ExitCode.USAGE, "zensim run-to: "),
         (("rtf", "1e9"), ExitCode.FAILED, "zensim rtf: "),
         (("rtf", "-1"), ExitCode.FAILED, "zensim rtf: "),
         (("rtf", "nan"), ExitCode.USAGE, "zensim rtf: "),
-        (
-            ("step", "--world-name", "x"),
-            ExitCode.UNREACHABLE,
-            "zensim step: ",
-        ),
+        (("step", "--world-name", "x"), ExitCode.UNREACHABLE, "zensim step: "),
     ],
 )
 def test_command_fails_with_one_line(

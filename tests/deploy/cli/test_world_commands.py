@@ -70,16 +70,8 @@ def test_unload_fails_without_a_world(server: Server) -> None:
 @pytest.mark.parametrize(
     ("word", "status", "line"),
     [
-        (
-            "nowhere",
-            ExitCode.NOT_FOUND,
-            "zensim world load: ",
-        ),
-        (
-            "./nowhere.sdf",
-            ExitCode.NOT_FOUND,
-            "zensim world load: ",
-        ),
+        ("nowhere", ExitCode.NOT_FOUND, "zensim world load: "),
+        ("./nowhere.sdf", ExitCode.NOT_FOUND, "zensim world load: "),
     ],
 )
 def test_load_of_an_unknown_world_changes_nothing(

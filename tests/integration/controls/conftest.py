@@ -5,12 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.integration.chromium import PANELS_WITHOUT_WEBGL, Chromium
-from tests.integration.controls.opened_page import (
-    ROBOTS,
-    Page,
-    list_spawns,
-    open_page,
-)
+from tests.integration.controls.opened_page import ROBOTS, Page, list_spawns, open_page
 from tests.integration.docs_media import PHONE, WIDE
 from tests.integration.page_controls import PageControls
 from tests.integration.processes import serving

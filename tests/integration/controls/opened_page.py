@@ -21,12 +21,7 @@ from zensim.proto.bus.bus_session import BusPublisher
 from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntity
-from zensim.proto.messages.standard_messages import (
-    Point,
-    Pose,
-    PoseStamped,
-    Twist,
-)
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Twist
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.network_protocols import Subscription
 from zensim.proto.topic_catalog import CMD_VEL
@@ -192,10 +187,7 @@ class Page:
         self.tab.click(left + across * width, top + FLOOR_SHARES[self.size] * height)
 
     def click_scene_until(
-        self,
-        is_done: Callable[[], bool],
-        what: str,
-        across: float = 0.5,
+        self, is_done: Callable[[], bool], what: str, across: float = 0.5
     ) -> None:
         """Click the floor until it has an effect: the page may not wait for a click yet."""
 

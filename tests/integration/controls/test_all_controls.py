@@ -34,9 +34,7 @@ from tests.integration.page_controls import Control, PageControls
 from tests.integration.processes import eventually, running
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.messages.standard_messages import (
-    Imu,
-)
+from zensim.proto.messages.standard_messages import Imu
 
 pytestmark = pytest.mark.browser
 

@@ -29,12 +29,7 @@ from tests.integration.test_page_sensors import PLACE_OF
 from tests.integration.test_view import CAMERA, read
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
-from zensim.proto.messages.standard_messages import (
-    Point,
-    Pose,
-    PoseStamped,
-    Twist,
-)
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Twist
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.spawner.page.drive_control import REPEAT_S
 from zensim.spawner.page.shortcuts import COMMANDS, PageCommand

@@ -20,12 +20,7 @@ from tests.integration.test_view import CAMERA, CLICK_MS, WITHIN
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.sensing_messages import Contacts
-from zensim.proto.messages.standard_messages import (
-    Image,
-    LaserScan,
-    Twist,
-    Vector3,
-)
+from zensim.proto.messages.standard_messages import Image, LaserScan, Twist, Vector3
 from zensim.proto.topic_catalog import CMD_VEL, CONTACTS, SCAN
 
 pytestmark = pytest.mark.browser

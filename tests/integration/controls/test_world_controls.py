@@ -23,9 +23,7 @@ from tests.integration.processes import eventually
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.simulation_messages import State
-from zensim.proto.messages.standard_messages import (
-    Imu,
-)
+from zensim.proto.messages.standard_messages import Imu
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.sim_server.description.builtin_models import list_builtin_models
 

@@ -22,9 +22,7 @@ from rosidl_generator_py.cli import GeneratePython  # noqa: E402
 from rosidl_generator_type_description.cli import HashTypeDescription  # noqa: E402
 from rosidl_typesupport_c.cli import GenerateCTypesupport  # noqa: E402
 from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport  # noqa: E402
-from rosidl_typesupport_introspection_c.cli import (  # noqa: E402
-    GenerateIntrospectionCTypesupport,
-)
+from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport  # noqa: E402
 
 SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 LIBRARIES = (

@@ -8,11 +8,7 @@ from hypothesis import strategies as st
 
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr_template import CdrTemplate
-from zensim.proto.messages.standard_messages import (
-    Header,
-    JointState,
-    time_from_ns,
-)
+from zensim.proto.messages.standard_messages import Header, JointState, time_from_ns
 
 NAMES = ("left", "right")
 PATHS = ("position[0]", "position[1]", "velocity[0]", "velocity[1]")

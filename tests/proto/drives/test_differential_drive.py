@@ -210,12 +210,7 @@ def test_drive_keeps_targets_finite_when_the_twist_overflows() -> None:
     direct = SingleDrive(DiffDrive(pairs=(REAR,)))
 
     assert all(map(math.isfinite, far))
-    assert all(
-        map(
-            math.isfinite,
-            direct.update(-1.7e308, 1.7e308, velocities=STILL, dt_s=0.01),
-        )
-    )
+    assert all(map(math.isfinite, direct.update(-1.7e308, 1.7e308, velocities=STILL, dt_s=0.01)))
 
 
 @given(

@@ -40,13 +40,7 @@ def test_tricycle_takes_rim_speed_and_steering_angle(
 
 @pytest.mark.parametrize(
     ("wanted", "current", "expected"),
-    [
-        (5.0, 0.0, 0.2),
-        (5.0, 4.9, 5.0),
-        (0.0, 5.0, 4.6),
-        (-5.0, 0.0, -0.4),
-        (5.0, 4.995, 5.0),
-    ],
+    [(5.0, 0.0, 0.2), (5.0, 4.9, 5.0), (0.0, 5.0, 4.6), (-5.0, 0.0, -0.4), (5.0, 4.995, 5.0)],
 )
 def test_tricycle_limits_acceleration_and_deceleration(
     wanted: float, current: float, expected: float
@@ -68,13 +62,7 @@ def test_tricycle_has_no_limit_on_the_side_that_is_zero() -> None:
 
 @pytest.mark.parametrize(
     ("angle", "current", "expected"),
-    [
-        (0.5, 0.0, 2.0),
-        (-0.5, 0.0, -2.0),
-        (0.5, 0.495, 0.0),
-        (0.5, 0.515, -1.5),
-        (9.0, 0.0, 2.0),
-    ],
+    [(0.5, 0.0, 2.0), (-0.5, 0.0, -2.0), (0.5, 0.495, 0.0), (0.5, 0.515, -1.5), (9.0, 0.0, 2.0)],
 )
 def test_tricycle_steers_at_its_speed_until_the_angle_is_reached(
     angle: float, current: float, expected: float

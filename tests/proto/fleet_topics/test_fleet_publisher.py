@@ -21,11 +21,7 @@ from zensim.proto.messages.standard_messages import Range, String
 from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2 import ros_graph
 from zensim.proto.ros2.liveliness_tokens import parse_endpoint_token
-from zensim.proto.ros2.qos_profiles import (
-    LATCHED,
-    RELIABLE_5,
-    RELIABLE_10,
-)
+from zensim.proto.ros2.qos_profiles import LATCHED, RELIABLE_5, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, RosTopic
 from zensim.proto.ros2.ros_settings import RosSettings

@@ -1,10 +1,6 @@
 """Tokens of a bridge are those of zenoh-bridge-ros2dds."""
 
-from zensim.proto.ros2.bridge_tokens import (
-    BridgeRoute,
-    make_bridge_token,
-    make_route_token,
-)
+from zensim.proto.ros2.bridge_tokens import BridgeRoute, make_bridge_token, make_route_token
 
 
 def test_bridge_token_names_the_session() -> None:

@@ -18,11 +18,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped
 from zensim.proto.ros2 import earlier_service_types
-from zensim.proto.ros2.ros_service_catalog import (
-    CDR_ENCODING_NAME,
-    ROS_SERVICES,
-    RosService,
-)
+from zensim.proto.ros2.ros_service_catalog import CDR_ENCODING_NAME, ROS_SERVICES, RosService
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES
 

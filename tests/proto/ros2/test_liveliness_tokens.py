@@ -13,11 +13,7 @@ from zensim.proto.ros2.liveliness_tokens import (
     make_endpoint_token,
     make_node_token,
 )
-from zensim.proto.ros2.qos_profiles import (
-    RELIABLE_10,
-    Qos,
-    write_qos,
-)
+from zensim.proto.ros2.qos_profiles import RELIABLE_10, Qos, write_qos
 
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"

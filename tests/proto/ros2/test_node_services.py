@@ -14,10 +14,7 @@ from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.ros2 import node_messages as messages
 from zensim.proto.ros2 import ros_graph
-from zensim.proto.ros2.liveliness_tokens import (
-    GraphEndpoint,
-    parse_endpoint_token,
-)
+from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, parse_endpoint_token
 from zensim.proto.ros2.node_messages import NamedParameter, ParameterType, ParameterValue
 from zensim.proto.ros2.node_services import (
     ALL_SERVICES,
@@ -254,9 +251,7 @@ def test_unknown_type_is_refused_with_a_reason(
     assert (response.successful, bool(response.failure_reason)) == (False, True)
 
 
-def test_each_node_of_a_large_fleet_announces_its_services(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_each_node_of_a_large_fleet_announces_its_services(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros_graph, "MAX_NODES_PER_ID", 2)
     network = Network(pattern="**/agent")
     robots = [network.graph.add_robot(f"r{number}", "agent") for number in range(2, 5)]

@@ -10,10 +10,7 @@ from tests.integration.processes import eventually
 from tests.proto.ros2.token_parser import parse_token
 from zensim.proto.messages.standard_messages import Odometry, String
 from zensim.proto.ros2 import ros_graph
-from zensim.proto.ros2.liveliness_tokens import (
-    GraphEndpoint,
-    GraphNode,
-)
+from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode
 from zensim.proto.ros2.qos_profiles import LATCHED
 from zensim.proto.ros2.rmw_keys import NO_HASH
 from zensim.proto.ros2.ros_graph import MAX_NODES_PER_ID, RosGraph, RosNode, RosTopic

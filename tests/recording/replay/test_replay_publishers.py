@@ -6,13 +6,7 @@ import msgspec
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.recording.replays import (
-    TYPE_HASH,
-    make_odometry,
-    make_text,
-    make_transforms,
-    write_run,
-)
+from tests.recording.replays import TYPE_HASH, make_odometry, make_text, make_transforms, write_run
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import Clock, String, TFMessage
 from zensim.proto.messages.telemetry_messages import WorldClock
@@ -151,9 +145,7 @@ def test_types_that_cannot_be_get_no_key_of_ros(
     trial: PublishersTrial, ros_type: str, type_hash: str
 ) -> None:
     one = msgspec.structs.replace(
-        trial.topics["/r1/custom"],
-        ros_type=ros_type,
-        channel_metadata={HASH_METADATA: type_hash},
+        trial.topics["/r1/custom"], ros_type=ros_type, channel_metadata={HASH_METADATA: type_hash}
     )
     names = ReplayedNames(NameSettings(selection=TopicSelection()), [one])
     factory = make_topic_factory(trial.bus, trial.graph, "", "zensim_replay")

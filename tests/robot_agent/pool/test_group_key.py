@@ -9,11 +9,7 @@ from zensim.robot_agent.topic_remapping import find_topic_keys
 
 def test_equal_robots_have_one_group_key_whether_they_share_a_model_or_not() -> None:
     keys, shared = GroupKeys(), two_wheeler()
-    claims = [
-        a_claim(1, "r1", shared),
-        a_claim(2, "r2", shared),
-        a_claim(3, "r3", two_wheeler()),
-    ]
+    claims = [a_claim(1, "r1", shared), a_claim(2, "r2", shared), a_claim(3, "r3", two_wheeler())]
 
     found = [keys.find(one, find_topic_keys(one)) for one in claims]
 

@@ -56,8 +56,7 @@ def motion_of(numbers: list[float]) -> BaseMotion:
 
 
 @given(
-    st.lists(st.tuples(st.text(max_size=9), st.text(max_size=9)), min_size=1, max_size=4),
-    st.data(),
+    st.lists(st.tuples(st.text(max_size=9), st.text(max_size=9)), min_size=1, max_size=4), st.data()
 )
 def test_odometry_is_what_the_encoder_writes(
     names: list[tuple[str, str]], data: st.DataObject
@@ -99,9 +98,7 @@ def test_transforms_are_what_the_encoder_writes(child: str) -> None:
 
     numbers = np.arange(14.0).tolist()
     batch = CdrBatch(
-        [message([0.0] * 14, 0)],
-        message_paths.list_tf_paths(2),
-        message_paths.list_tf_stamps(2),
+        [message([0.0] * 14, 0)], message_paths.list_tf_paths(2), message_paths.list_tf_stamps(2)
     )
 
     batch.fill(np.array([0]), np.array([numbers]), np.array([3 * 10**9 + 5]))

@@ -12,11 +12,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_tyre,
     read_driven,
 )
-from tests.sim_server.description.plugins.test_wheel_guess import (
-    OMNI_BASE,
-    RING_ROBOT,
-    SUSPENDED,
-)
+from tests.sim_server.description.plugins.test_wheel_guess import OMNI_BASE, RING_ROBOT, SUSPENDED
 from tests.sim_server.description.robots import a_link, a_robot, an_inertial, mentions
 from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder

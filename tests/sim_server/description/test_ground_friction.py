@@ -16,11 +16,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import from_rpy
-from zensim.sim_server.description.ground_friction import (
-    GroundFriction,
-    GroundMotion,
-    JointTargets,
-)
+from zensim.sim_server.description.ground_friction import GroundFriction, GroundMotion, JointTargets
 
 STRONG_NM = 1e3
 SPEED = 4.0
@@ -60,12 +56,7 @@ def with_caster(model: Model, *, swivels: bool) -> Model:
     )
     return msgspec.structs.replace(
         model,
-        links=(
-            base,
-            *model.links[1:],
-            fork,
-            msgspec.structs.replace(wheel, collisions=(tyre,)),
-        ),
+        links=(base, *model.links[1:], fork, msgspec.structs.replace(wheel, collisions=(tyre,))),
         joints=(
             *model.joints,
             Joint("swivel", kind, "base", "fork", Origin(axle), (0.0, 0.0, 1.0)),

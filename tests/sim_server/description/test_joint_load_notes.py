@@ -6,11 +6,7 @@ import pytest
 from tests.models import a_box_bot
 from tests.sim_server.description.chain_models import ArmCase, MastCase
 from zensim.proto.messages.model_messages import CommandInterface, Model, Shape
-from zensim.sim_server.description.joint_load_notes import (
-    COST,
-    UNEVEN,
-    describe_joint_loads,
-)
+from zensim.sim_server.description.joint_load_notes import COST, UNEVEN, describe_joint_loads
 from zensim.sim_server.description.pipeline import parse_description
 
 

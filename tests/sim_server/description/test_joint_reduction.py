@@ -266,9 +266,7 @@ def test_floating_joint_slides_and_turns_in_all_ways() -> None:
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: sum(a * a for a in axis) > 0.01))
-def test_planar_joint_slides_across_any_normal(
-    axis: tuple[float, float, float],
-) -> None:
+def test_planar_joint_slides_across_any_normal(axis: tuple[float, float, float]) -> None:
     place = f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
 
     model = read_urdf(a_robot(PAIR, a_joint("j", ("a", "b"), "planar", place)))

@@ -14,12 +14,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_four_wheeler,
     read_driven,
 )
-from tests.sim_server.description.robots import (
-    a_joint,
-    a_link,
-    an_inertial,
-    mentions,
-)
+from tests.sim_server.description.robots import a_joint, a_link, an_inertial, mentions
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DiffDrive, SteeringDrive
 from zensim.sim_server.description.ground_friction import GroundFriction

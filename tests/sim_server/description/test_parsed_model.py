@@ -161,8 +161,7 @@ def test_negative_damping_and_friction_are_left_out() -> None:
     ],
 )
 def test_principal_moments_are_the_eigenvalues(
-    inertia: tuple[float, float, float, float, float, float],
-    principal: tuple[float, float, float],
+    inertia: tuple[float, float, float, float, float, float], principal: tuple[float, float, float]
 ) -> None:
     assert find_principal_moments(inertia) == pytest.approx(principal, abs=1e-9)
 

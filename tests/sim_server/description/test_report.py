@@ -145,7 +145,7 @@ def test_entries_of_like_models_of_a_world_are_one_entry() -> None:
         report.repeat(ReportEntry("suspicious", "link 'seat'", "odd"), of=name)
 
     assert [one.subject for one in report.entries()] == [
-        *("chair_1, chair_2: link 'leg': <erp>", "chair_1: link 'seat'", "chair_2: link 'seat'"),
+        *("chair_1, chair_2: link 'leg': <erp>", "chair_1: link 'seat'", "chair_2: link 'seat'")
     ]
 
 

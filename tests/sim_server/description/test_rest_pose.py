@@ -38,11 +38,7 @@ def test_loads_on_three_feet_are_those_of_statics() -> None:
     rest = rest_of(on_feet((0.0, 0.2, 0.0), (0.0, -0.2, 0.0), (0.4, 0.0, 0.0), com=(0.1, 0.1, 0.3)))
 
     assert loads_by_place(rest) == pytest.approx(
-        {
-            (0.0, 0.2): 0.625 * GRAVITY,
-            (0.0, -0.2): 0.125 * GRAVITY,
-            (0.4, 0.0): 0.25 * GRAVITY,
-        },
+        {(0.0, 0.2): 0.625 * GRAVITY, (0.0, -0.2): 0.125 * GRAVITY, (0.4, 0.0): 0.25 * GRAVITY},
         rel=1e-3,
     )
 

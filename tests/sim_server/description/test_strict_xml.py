@@ -117,10 +117,7 @@ def test_parser_refuses_another_root_when_one_is_expected() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [
-        f"<robot>{' ' * MAX_BYTES}</robot>",
-        f"<robot>{'<a/>' * MAX_TAGS}</robot>",
-    ],
+    [f"<robot>{' ' * MAX_BYTES}</robot>", f"<robot>{'<a/>' * MAX_TAGS}</robot>"],
     ids=["bytes", "tags"],
 )
 def test_parser_refuses_text_when_it_is_huge(text: str) -> None:

@@ -58,9 +58,7 @@ def a_cart_with_caster(
     roller = Shape("cylinder", (0.02, 0.01, 0.0), Origin(orientation=SIDEWAYS))
     axle = Joint("caster_joint", kind, "base", "caster", Origin((-0.1, 0.0, height)), axis=axis)
     return msgspec.structs.replace(
-        cart,
-        links=(*cart.links, Link("caster", collisions=(roller,))),
-        joints=(*cart.joints, axle),
+        cart, links=(*cart.links, Link("caster", collisions=(roller,))), joints=(*cart.joints, axle)
     )
 
 

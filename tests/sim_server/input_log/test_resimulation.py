@@ -688,10 +688,7 @@ def with_recipe(**fields: object) -> Callable[[Any], AnyRecord]:
     ],
 )
 def test_records_that_do_not_agree_are_refused(
-    busy: LoggedWorld,
-    tmp_path: Path,
-    kind: type[AnyRecord],
-    change: Callable[[Any], AnyRecord],
+    busy: LoggedWorld, tmp_path: Path, kind: type[AnyRecord], change: Callable[[Any], AnyRecord]
 ) -> None:
     messages = change_records(busy.messages, kind, change)
 

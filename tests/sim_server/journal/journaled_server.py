@@ -75,11 +75,7 @@ class JournaledServer:
     """A server loop that journals its world in a folder."""
 
     def __init__(
-        self,
-        folder: Path,
-        *names: str,
-        world: SimulatedWorld | None = None,
-        now_s: float = 5.0,
+        self, folder: Path, *names: str, world: SimulatedWorld | None = None, now_s: float = 5.0
     ) -> None:
         wall = WallTime(round(now_s * 1e9))
         self.folder = folder

@@ -4,10 +4,7 @@ import pytest
 
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.settings.lockstep_settings import LockstepSettings, OnMiss
-from zensim.sim_server.pacing.lockstep import (
-    MAX_CHECK_INTERVAL_NS,
-    Lockstep,
-)
+from zensim.sim_server.pacing.lockstep import MAX_CHECK_INTERVAL_NS, Lockstep
 
 SECOND = 1_000_000_000
 CLAIMS = b"\x01\0\0\0"

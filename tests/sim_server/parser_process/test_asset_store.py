@@ -71,13 +71,7 @@ def test_store_accepts_a_repeated_chunk(store: AssetStore) -> None:
     ids=lambda value: str(value)[:20],
 )
 def test_store_refuses_a_chunk(
-    store: AssetStore,
-    *,
-    name: str,
-    offset: int,
-    total: int,
-    data: bytes,
-    slug: str,
+    store: AssetStore, *, name: str, offset: int, total: int, data: bytes, slug: str
 ) -> None:
     with pytest.raises(AssetRefused) as refused:
         store.put(name, offset=offset, total=total, data=data)

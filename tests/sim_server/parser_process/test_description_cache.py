@@ -162,9 +162,7 @@ def test_vertices_of_a_large_model_are_read_before_it_is_ready(
         assert len(fixture.store.vertices(mesh_of(fixture.descriptions.model(order)[0])))
 
 
-def test_moving_model_with_many_collisions_of_one_mesh_is_prepared(
-    fixture: ParserFixture,
-) -> None:
+def test_moving_model_with_many_collisions_of_one_mesh_is_prepared(fixture: ParserFixture) -> None:
     fixture.parts_left = 1
     refs = (AssetRef("a.stl", put(fixture.store, STL)),)
     start, end = MESH_ROBOT.index("<collision>"), MESH_ROBOT.index("</collision>")

@@ -15,11 +15,7 @@ import pytest
 from tests.integration.processes import eventually
 from zensim.proto.bounded_http_server import MAX_CONNECTIONS
 from zensim.proto.messages.asset_messages import AssetRef
-from zensim.sim_server.parser_process.mesh_server import (
-    MAX_BUNDLES,
-    MeshServer,
-    PublishedFiles,
-)
+from zensim.sim_server.parser_process.mesh_server import MAX_BUNDLES, MeshServer, PublishedFiles
 
 BASE, IMAGE, SECRET = b"solid base", b"an image", b"of another user"
 URI = "package://robot/meshes/base & top.dae"

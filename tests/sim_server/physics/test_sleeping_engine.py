@@ -106,11 +106,7 @@ def test_placement_is_the_first_check_of_a_loose_body() -> None:
 
 @pytest.mark.parametrize(
     "second",
-    [
-        a_state((4e-5, 0.0, 0.0)),
-        a_state(turn=(0.0, 0.0, 2e-5)),
-        a_state(linear=(0.0, 0.0, 2e-4)),
-    ],
+    [a_state((4e-5, 0.0, 0.0)), a_state(turn=(0.0, 0.0, 2e-5)), a_state(linear=(0.0, 0.0, 2e-4))],
     ids=["creeps", "turns", "is at its apex"],
 )
 def test_loose_body_that_moves_a_little_waits_for_the_delay(second: FloatArray) -> None:
@@ -295,9 +291,7 @@ def test_reading_keeps_the_requested_order_of_sleeping_and_awake_bodies(
     assert reading.joint_positions[:2] == pytest.approx([5.0, 5.0], abs=0.2)
 
 
-def test_sleeping_robot_wakes_on_a_command_and_drives(
-    engine: SleepingEngine,
-) -> None:
+def test_sleeping_robot_wakes_on_a_command_and_drives(engine: SleepingEngine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
     advance(engine, STANDING)
     slept = engine.asleep

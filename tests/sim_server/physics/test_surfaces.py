@@ -199,9 +199,7 @@ def test_arm_without_gravity_stays_level(engine: Engine) -> None:
     assert hanging > 0.2
 
 
-def test_merged_link_without_gravity_compensates_its_own_weight_only(
-    engine: Engine,
-) -> None:
+def test_merged_link_without_gravity_compensates_its_own_weight_only(engine: Engine) -> None:
     """3 kg with and 1 kg without gravity: three quarters of g, and the light end rises."""
     parts = (
         a_link("tail", an_inertial("3", "0.02")),

@@ -22,11 +22,7 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.queries.entity_filters import (
-    PatternRefused,
-    PosixPattern,
-    SearchTooLong,
-)
+from zensim.sim_server.queries.entity_filters import PatternRefused, PosixPattern, SearchTooLong
 from zensim.sim_server.queries.sliced_work import MAX_WORK_S, SLICE_NS
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.world.simulated_world import SimulatedWorld
@@ -95,9 +91,7 @@ def categories(*kinds: Category) -> EntityFilters:
         ),
         (
             EntityFilters(
-                "^r",
-                (EntityCategory(Category.ROBOT),),
-                bounds=box((0.5, -1, -1), (20, 1, 1)),
+                "^r", (EntityCategory(Category.ROBOT),), bounds=box((0.5, -1, -1), (20, 1, 1))
             ),
             ("r2",),
         ),

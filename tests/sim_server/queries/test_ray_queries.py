@@ -5,11 +5,7 @@ import pytest
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import WallTime, a_spawn, a_world, handle_request, make_parts
 from tests.sim_server.queries.worlds_with_boxes import parts_with_boxes, respond
-from zensim.proto.messages.entity_messages import (
-    NOTHING_HIT_M,
-    CastRaysRequest,
-    CastRaysResponse,
-)
+from zensim.proto.messages.entity_messages import NOTHING_HIT_M, CastRaysRequest, CastRaysResponse
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.sim_server.errors import EntityNotFound
 from zensim.sim_server.queries.ray_queries import MAX_RAYS, RaysRefused

@@ -11,10 +11,7 @@ from tests.models import a_body, a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.fakes import ServerFixture, a_server, a_spawn
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.sensing_messages import Contacts
-from zensim.proto.messages.sensor_messages import (
-    ContactSensor,
-    SensorTopic,
-)
+from zensim.proto.messages.sensor_messages import ContactSensor, SensorTopic
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.se3 import FloatArray
 from zensim.sim_server.physics.engine import Engine

@@ -17,11 +17,7 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationResponse,
 )
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest, Stats
-from zensim.sim_server.runtime.loop import (
-    IDLE_POLL_S,
-    MAX_LAG_NS,
-    POLL_S,
-)
+from zensim.sim_server.runtime.loop import IDLE_POLL_S, MAX_LAG_NS, POLL_S
 
 POLL_NS = round(POLL_S * 1e9)
 MILLISECOND = 1_000_000

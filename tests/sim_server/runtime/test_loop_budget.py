@@ -147,9 +147,7 @@ def test_loop_refuses_no_more_than_its_share_in_a_second(
     assert refused == 3
 
 
-def test_loop_does_not_wait_for_replies_when_a_step_is_due(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_loop_does_not_wait_for_replies_when_a_step_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
     server = a_server("r0")
     waits: list[float] = []
     monkeypatch.setattr(server.inbox, "settle_replies", waits.append)

@@ -7,14 +7,8 @@ from tests.models import a_box, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, ServerFixture, a_server, a_spawn
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.model_messages import Model, Sensor
-from zensim.proto.messages.sensing_messages import (
-    SceneState,
-    SensorsReply,
-)
-from zensim.proto.messages.sensor_messages import (
-    ImuSensor,
-    RaySensor,
-)
+from zensim.proto.messages.sensing_messages import SceneState, SensorsReply
+from zensim.proto.messages.sensor_messages import ImuSensor, RaySensor
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.proto.network_protocols import Sample
 from zensim.proto.settings.lockstep_settings import LockstepSettings, OnMiss

@@ -9,11 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from zensim.sim_server.runtime.time_slice import (
-    SCHED_ATTR,
-    TIME_SLICE_NS,
-    request_short_time_slice,
-)
+from zensim.sim_server.runtime.time_slice import SCHED_ATTR, TIME_SLICE_NS, request_short_time_slice
 
 T = TypeVar("T")
 SCHED_GETATTR = {"x86_64": 315, "aarch64": 275}

@@ -7,12 +7,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import (
-    ServerFixture,
-    a_server,
-    a_spawn,
-    answer_of,
-)
+from tests.sim_server.fakes import ServerFixture, a_server, a_spawn, answer_of
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.result_messages import ResultCode

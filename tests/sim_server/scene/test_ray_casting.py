@@ -101,7 +101,7 @@ def triangulate(shape: Shape) -> FloatArray:
 SOLIDS: dict[str, tuple[Shape, FloatArray, float]] = {
     shape.kind: (shape, triangulate(shape), error_m)
     for shape, error_m in [
-        *((BOX, 1e-9), (SPHERE, 0.01), (CYLINDER, 0.01), (CAPSULE, 0.01), (MESH, 1e-9)),
+        *((BOX, 1e-9), (SPHERE, 0.01), (CYLINDER, 0.01), (CAPSULE, 0.01), (MESH, 1e-9))
     ]
 }
 

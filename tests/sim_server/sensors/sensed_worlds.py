@@ -9,16 +9,8 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SceneState,
-)
-from zensim.proto.messages.sensor_messages import (
-    Noise,
-    RaySensor,
-    ScanAxis,
-    SensorTopic,
-)
+from zensim.proto.messages.sensing_messages import Environment, SceneState
+from zensim.proto.messages.sensor_messages import Noise, RaySensor, ScanAxis, SensorTopic
 from zensim.proto.messages.standard_messages import LaserScan
 from zensim.proto.messages.telemetry_messages import EntityModel, Event, GetModelsResponse
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings

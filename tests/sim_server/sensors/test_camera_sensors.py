@@ -167,8 +167,7 @@ def test_compressed_picture_is_nearly_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "expected"),
-    [((0.5, 10.0), 3.0), ((3.5, 10.0), -np.inf), ((0.5, 2.5), np.inf)],
+    ("limits", "expected"), [((0.5, 10.0), 3.0), ((3.5, 10.0), -np.inf), ((0.5, 2.5), np.inf)]
 )
 def test_depth_is_the_distance_within_its_limits(
     limits: tuple[float, float], expected: float

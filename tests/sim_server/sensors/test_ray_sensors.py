@@ -11,12 +11,7 @@ from zensim.proto.codec.message_codec import decode
 from zensim.proto.memory_bus import MemorySubscription
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.sensor_messages import RaySensor, ScanAxis, SensorTopic
-from zensim.proto.messages.standard_messages import (
-    LaserScan,
-    PointCloud,
-    PointCloud2,
-    Range,
-)
+from zensim.proto.messages.standard_messages import LaserScan, PointCloud, PointCloud2, Range
 
 
 def from_yaw(yaw: float) -> tuple[float, float, float, float]:

@@ -19,11 +19,7 @@ from tests.sim_server.sensors.sensed_worlds import (
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.model_messages import Link, Model, Shape
-from zensim.proto.messages.sensing_messages import (
-    SceneState,
-    SensorsReply,
-    SensorStats,
-)
+from zensim.proto.messages.sensing_messages import SceneState, SensorsReply, SensorStats
 from zensim.proto.messages.standard_messages import LaserScan, time_from_ns
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.stl import write_corners

@@ -15,10 +15,7 @@ from zensim.proto.messages import agent_messages
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Sensor
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SphericalCoordinates,
-)
+from zensim.proto.messages.sensing_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.sensor_messages import ImuSensor
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.sim_server.description.world_model import EARTH_MAGNETIC_FIELD, WorldModel
@@ -278,9 +275,7 @@ def test_share_excludes_frozen_entities() -> None:
     assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
 
 
-def test_share_is_cut_where_texts_would_not_fit_in_a_reply(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_share_is_cut_where_texts_would_not_fit_in_a_reply(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = make_parts(a_world("r0", "r1"))
     monkeypatch.setattr(claim_services, "MAX_SHARE_TEXT", -1)
 

@@ -142,9 +142,7 @@ def test_entity_is_placed_in_the_frame_of_another(parts: ServerParts) -> None:
     assert row[7:10] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
 
 
-def test_wrench_without_a_frame_acts_at_the_centre_of_mass_in_the_world(
-    parts: ServerParts,
-) -> None:
+def test_wrench_without_a_frame_acts_at_the_centre_of_mass_in_the_world(parts: ServerParts) -> None:
     assert gained(parts, a_push())[:3] == pytest.approx([2.0, 0.0, 0.0])
 
 

@@ -6,10 +6,7 @@ import pytest
 from tests.sim_server.fakes import a_world, make_parts
 from tests.sim_server.orders import an_order, spawned, suspicions
 from zensim.proto.messages.model_messages import Link, Model, Origin, Sensor, Shape
-from zensim.proto.messages.sensing_messages import (
-    Environment,
-    SphericalCoordinates,
-)
+from zensim.proto.messages.sensing_messages import Environment, SphericalCoordinates
 from zensim.proto.messages.sensor_messages import (
     CameraSensor,
     ImuSensor,

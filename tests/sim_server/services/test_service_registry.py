@@ -368,11 +368,7 @@ REFUSED = {
         SpawnCode.RESOURCE_PARSE_ERROR,
         "urdf.joints: ",
     ),
-    "spawn a taken name": (
-        a_spawn(name="r0"),
-        SpawnCode.NAME_NOT_UNIQUE,
-        "name.taken: .*'r0'",
-    ),
+    "spawn a taken name": (a_spawn(name="r0"), SpawnCode.NAME_NOT_UNIQUE, "name.taken: .*'r0'"),
     "spawn a bad name": (
         a_spawn(name="9 lives"),
         SpawnCode.NAME_INVALID,
@@ -408,16 +404,8 @@ REFUSED = {
         SpawnCode.INVALID_POSE,
         "pose.refused: .*1e-09",
     ),
-    "spawn beside nobody": (
-        a_spawn_at(Pose(), "r7"),
-        ResultCode.NOT_FOUND,
-        "'r7'",
-    ),
-    "delete nobody": (
-        DeleteEntityRequest("r7"),
-        ResultCode.NOT_FOUND,
-        "'r7'",
-    ),
+    "spawn beside nobody": (a_spawn_at(Pose(), "r7"), ResultCode.NOT_FOUND, "'r7'"),
+    "delete nobody": (DeleteEntityRequest("r7"), ResultCode.NOT_FOUND, "'r7'"),
     "filter": (
         entity_messages.GetEntitiesRequest(entity_messages.EntityFilters("r(")),
         ResultCode.OPERATION_FAILED,
@@ -428,16 +416,8 @@ REFUSED = {
         ResultCode.NOT_FOUND,
         "'r7'",
     ),
-    "place nobody": (
-        entity_messages.SetEntityStateRequest("r7"),
-        ResultCode.NOT_FOUND,
-        "'r7'",
-    ),
-    "place nowhere": (
-        a_placing(Pose(Point(x=NAN))),
-        SetEntityStateCode.INVALID_POSE,
-        "finite",
-    ),
+    "place nobody": (entity_messages.SetEntityStateRequest("r7"), ResultCode.NOT_FOUND, "'r7'"),
+    "place nowhere": (a_placing(Pose(Point(x=NAN))), SetEntityStateCode.INVALID_POSE, "finite"),
     "place too fast": (
         a_placing(twist=Twist(Vector3(1e5))),
         SetEntityStateCode.INVALID_POSE,
@@ -463,16 +443,8 @@ REFUSED = {
         SetSimulationStateCode.INCORRECT_TRANSITION,
         "no_world",
     ),
-    "step while playing": (
-        StepSimulationRequest(1),
-        ResultCode.INCORRECT_STATE,
-        "playing",
-    ),
-    "reset unknown bits": (
-        ResetSimulationRequest(8),
-        ResultCode.FEATURE_UNSUPPORTED,
-        "scope 8",
-    ),
+    "step while playing": (StepSimulationRequest(1), ResultCode.INCORRECT_STATE, "playing"),
+    "reset unknown bits": (ResetSimulationRequest(8), ResultCode.FEATURE_UNSUPPORTED, "scope 8"),
     "claim under a bad name": (
         agent_messages.ClaimEntityRequest("a b", ("r0",)),
         ClaimCode.AGENT_INVALID,
@@ -483,11 +455,7 @@ REFUSED = {
         ResultCode.INCORRECT_STATE,
         "'ghost'",
     ),
-    "claim nothing": (
-        agent_messages.ClaimEntityRequest("a"),
-        ClaimCode.NOT_DRIVABLE,
-        ".",
-    ),
+    "claim nothing": (agent_messages.ClaimEntityRequest("a"), ClaimCode.NOT_DRIVABLE, "."),
     "claim nobody": (
         agent_messages.ClaimEntityRequest("a", ("r0", "r7")),
         ResultCode.NOT_FOUND,
@@ -550,9 +518,7 @@ def test_pause_is_refused_when_paused(parts: ServerParts) -> None:
     assert refused.value.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
 
 
-def test_spawn_is_refused_when_the_model_has_no_name_that_could_be_one(
-    parts: ServerParts,
-) -> None:
+def test_spawn_is_refused_when_the_model_has_no_name_that_could_be_one(parts: ServerParts) -> None:
     nameless = a_spawn(
         name="", entity_resource=Resource("", '<robot name="my robot"><link name="a"/></robot>')
     )

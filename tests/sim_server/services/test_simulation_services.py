@@ -217,8 +217,7 @@ def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted_ns", "steps"),
-    [(0, 0), (1, 1), (STEP_NS, 1), (STEP_NS + 1, 2), (240 * STEP_NS, 240)],
+    ("wanted_ns", "steps"), [(0, 0), (1, 1), (STEP_NS, 1), (STEP_NS + 1, 2), (240 * STEP_NS, 240)]
 )
 def test_run_goes_to_the_first_step_at_or_after_a_time(wanted_ns: int, steps: int) -> None:
     server = a_paused_server()

@@ -22,12 +22,7 @@ from tests.sim_server.fakes import (
 )
 from tests.sim_server.orders import BOX_BOT, LYING, an_order, spawned, suspicions
 from zensim.proto.messages.entity_messages import EntityInfo
-from zensim.proto.messages.model_messages import (
-    Inertial,
-    Link,
-    Model,
-    Shape,
-)
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.spawn_messages import (

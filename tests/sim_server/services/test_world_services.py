@@ -329,9 +329,7 @@ def test_worlds_are_listed_by_folder_and_tag(parts: ServerParts, folder: Path) -
     assert "deep/a.world" in listed(parts, ask(additional_sources=("deep",)))
 
 
-def test_world_has_its_own_description_not_that_of_its_frames(
-    parts: ServerParts,
-) -> None:
+def test_world_has_its_own_description_not_that_of_its_frames(parts: ServerParts) -> None:
     found = available(parts, world_messages.GetAvailableWorldsRequest())
 
     empty = next(world for world in found if world.world_resource.uri == "empty")
@@ -379,9 +377,7 @@ def test_source_outside_the_operators_folders_is_not_searched(
     assert folder.is_dir()
 
 
-def test_online_source_is_skipped_when_only_offline_ones_are_requested(
-    parts: ServerParts,
-) -> None:
+def test_online_source_is_skipped_when_only_offline_ones_are_requested(parts: ServerParts) -> None:
     request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
 
     assert listed(parts, request) == BUILT_IN

@@ -10,16 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.engines import STEP_NS, MakeEngine, ObedientEngine, TieredAuto, running
-from tests.models import (
-    a_box,
-    a_cart,
-    a_controlled_arm,
-    a_fork,
-    a_puck,
-    a_state,
-    an_arm,
-    on_ground,
-)
+from tests.models import a_box, a_cart, a_controlled_arm, a_fork, a_puck, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (
     CONTROL_STEPS,
     a_command,

@@ -9,9 +9,7 @@ from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.settings.engine_settings import EngineSettings
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
-from zensim.sim_server.physics.engine_config import (
-    find_installed_engines,
-)
+from zensim.sim_server.physics.engine_config import find_installed_engines
 from zensim.sim_server.world_loading.world_inspection import (
     InspectionRequest,
     WorldInspection,

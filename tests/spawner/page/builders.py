@@ -9,14 +9,7 @@ from tests.fakes import MemoryBus
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.drive_messages import DiffDrive
-from zensim.proto.messages.model_messages import (
-    Joint,
-    Link,
-    Model,
-    Origin,
-    Sensor,
-    Shape,
-)
+from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Sensor, Shape
 from zensim.proto.messages.sensor_messages import SensorTopic
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.service_catalog import SERVICES

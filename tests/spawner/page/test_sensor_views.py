@@ -8,12 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.spawner.page.builders import (
-    make_models,
-    make_robot,
-    make_sensing_robot,
-    make_snapshot,
-)
+from tests.spawner.page.builders import make_models, make_robot, make_sensing_robot, make_snapshot
 from zensim.proto.codec.message_codec import Format, MalformedPayload, encode
 from zensim.proto.messages.model_messages import Origin, Sensor
 from zensim.proto.messages.sensor_messages import SensorTopic

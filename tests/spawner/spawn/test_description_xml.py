@@ -108,11 +108,7 @@ def test_drive_has_one_namespace_and_one_tf_remapping(ros: str, namespace: str) 
 
 @pytest.mark.parametrize(
     "ros",
-    [
-        "<ros/>",
-        "",
-        "<ros><namespace>/old</namespace><remapping>/tf:=/old/tf</remapping></ros>",
-    ],
+    ["<ros/>", "", "<ros><namespace>/old</namespace><remapping>/tf:=/old/tf</remapping></ros>"],
 )
 def test_removal_leaves_no_namespace(ros: str) -> None:
     assert find_ros_entries(remove_namespace(make_robot(make_drive(ros)))) == []

@@ -5,12 +5,7 @@ import numpy as np
 from zensim.proto.messages.drive_messages import DiffDrive, OmniDrive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.process_messages import AgentStats, ProcessUsage
-from zensim.proto.messages.telemetry_messages import (
-    EntityModel,
-    GetModelsResponse,
-    Snapshot,
-    Stats,
-)
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot, Stats
 from zensim.spawner.top.fleet_figures import FleetReading
 
 MODELS = GetModelsResponse(

@@ -43,14 +43,7 @@ DEFAULTS = LaunchConfig(
     server=make_settings(ServerSettings, {"world": "w.world"}),
     network=NetworkSettings(listen="tcp/127.0.0.1:1"),
 )
-COMMON = (
-    "serve",
-    "--announce",
-    "--listen",
-    "tcp/127.0.0.1:1",
-    "--world-name",
-    "default",
-)
+COMMON = ("serve", "--announce", "--listen", "tcp/127.0.0.1:1", "--world-name", "default")
 WORLD = ("--world", "w.world")
 ROS = ("--ros-domain", "0")
 

@@ -31,9 +31,7 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> list[Cell]:
     return [one for one in found if "outputs" in one]
 
 
-def test_notebook_prints_a_row_for_each_robot(
-    cells: list[Cell],
-) -> None:
+def test_notebook_prints_a_row_for_each_robot(cells: list[Cell]) -> None:
     printed = "".join(cells[4]["outputs"][0]["text"]).splitlines()
 
     assert len(printed) == 6

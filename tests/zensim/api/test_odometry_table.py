@@ -109,11 +109,7 @@ def test_names_that_are_read_again_are_found_when_robots_came_or_time_began_agai
         feed.put(message)
         times.append(table.read(["a", "b"]).times.tolist())
 
-    assert times == [
-        pytest.approx([1.0, np.nan], nan_ok=True),
-        [1.0, 2.0],
-        [3.0, 3.0],
-    ]
+    assert times == [pytest.approx([1.0, np.nan], nan_ok=True), [1.0, 2.0], [3.0, 3.0]]
 
 
 def test_equal_names_of_another_epoch_have_the_rows_of_that_epoch() -> None:

@@ -32,8 +32,7 @@ def test_agent_exits_like_the_command() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "value"),
-    [(("serve", "{}"), "'serve'"), (("agent", "{}"), "`endpoint`")],
+    ("words", "value"), [(("serve", "{}"), "'serve'"), (("agent", "{}"), "`endpoint`")]
 )
 def test_invalid_settings_are_refused_in_one_line(words: tuple[str, str], value: str) -> None:
     done = run(*words)

@@ -69,11 +69,7 @@ def list_wrong_twists() -> Iterator[Case]:
     for number in (NAN, INF, -INF):
         for place in ("v", "w", "left"):
             order = {place: number}
-            yield (
-                f"drive {place}={number}",
-                of_robot("drive", **order),
-                zensim.Invalid,
-            )
+            yield (f"drive {place}={number}", of_robot("drive", **order), zensim.Invalid)
 
 
 def list_wrong_poses() -> Iterator[Case]:
@@ -81,20 +77,12 @@ def list_wrong_poses() -> Iterator[Case]:
         for place in range(3):
             row = [0.0, 0.0, 0.1]
             row[place] = number
-            yield (
-                f"set_pose {place}={number}",
-                of_robot("set_pose", *row),
-                zensim.Invalid,
-            )
+            yield (f"set_pose {place}={number}", of_robot("set_pose", *row), zensim.Invalid)
 
 
 def list_wrong_paths() -> Iterator[Case]:
     for points in ((), (1.0, 2.0), ((1.0,),), ((1.0, 2.0, 3.0),), ((NAN, 0.0),), ((0.0, INF),)):
-        yield (
-            f"follow {points}",
-            of_robot("follow", points),
-            zensim.Invalid,
-        )
+        yield (f"follow {points}", of_robot("follow", points), zensim.Invalid)
     for speed in (0.0, -1.0, NAN, INF, 1e9):
         yield (
             f"follow speed={speed}",
@@ -105,21 +93,13 @@ def list_wrong_paths() -> Iterator[Case]:
 
 def list_wrong_times() -> Iterator[Case]:
     for seconds in (NAN, -1.0, INF, 1e9):
-        yield (
-            f"run_for {seconds}",
-            of_simulation("run_for", seconds),
-            zensim.Invalid,
-        )
+        yield (f"run_for {seconds}", of_simulation("run_for", seconds), zensim.Invalid)
     for time in (NAN, -1.0, INF):
         yield f"run_to {time}", of_simulation("run_to", time), zensim.Invalid
     for count in (0, -1, -(10**9)):
         yield f"step {count}", of_simulation("step", count), zensim.Invalid
     for rate in (0.0, -1.0, 7.0, 1e9, NAN):
-        yield (
-            f"steps rate={rate}",
-            of_simulation("steps", seconds=0.1, rate=rate),
-            zensim.Invalid,
-        )
+        yield (f"steps rate={rate}", of_simulation("steps", seconds=0.1, rate=rate), zensim.Invalid)
 
 
 def list_wrong_rays() -> Iterator[Case]:
@@ -131,11 +111,7 @@ def list_wrong_rays() -> Iterator[Case]:
         "no rows": ([(0, 0, 1)] * 2, [(1, 0, 0)]),
     }
     for name, (origins, directions) in rays.items():
-        yield (
-            f"cast_rays {name}",
-            of_simulation("cast_rays", origins, directions),
-            zensim.Invalid,
-        )
+        yield (f"cast_rays {name}", of_simulation("cast_rays", origins, directions), zensim.Invalid)
 
 
 def list_unknown_names() -> Iterator[Case]:
@@ -203,10 +179,7 @@ CASES = tuple(
 
 @pytest.mark.parametrize(("act", "kind"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
 def test_a_wrong_argument_raises_its_error_and_changes_nothing(
-    simulation: zensim.Simulation,
-    robot: zensim.Robot,
-    act: Act,
-    kind: type[zensim.Error],
+    simulation: zensim.Simulation, robot: zensim.Robot, act: Act, kind: type[zensim.Error]
 ) -> None:
     before = simulation.state_hash()
 
@@ -239,9 +212,7 @@ GONE: dict[str, Callable[[zensim.Robot], object]] = {
 
 @pytest.mark.parametrize("act", GONE.values(), ids=GONE)
 def test_a_handle_of_a_deleted_robot_raises(
-    simulation: zensim.Simulation,
-    robot: zensim.Robot,
-    act: Callable[[zensim.Robot], object],
+    simulation: zensim.Simulation, robot: zensim.Robot, act: Callable[[zensim.Robot], object]
 ) -> None:
     simulation.delete("r1")
 

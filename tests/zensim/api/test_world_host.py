@@ -15,10 +15,7 @@ from zensim.api.world_host import WorldHost
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
-from zensim.proto.messages.simulation_messages import (
-    ResetSimulationRequest,
-    SimulateStepsRequest,
-)
+from zensim.proto.messages.simulation_messages import ResetSimulationRequest, SimulateStepsRequest
 from zensim.proto.messages.spawn_messages import (
     DeleteEntityRequest,
     Resource,
@@ -53,7 +50,7 @@ from zensim.sim_server.server_config import ConfigError, ServerConfig
 MUJOCO = ServerConfig(
     settings=ServerSettings(
         start=StartSettings(paused=True), physics=EngineSettings(engine="mujoco", engine_workers=0)
-    ),
+    )
 )
 
 
@@ -87,9 +84,7 @@ def test_a_spawned_robot_is_claimed_by_the_pool_at_once(server: WorldHost) -> No
     assert server.world.claims.agent_of("r1") == server.world.claims.agent_of("r2") == "pool"
 
 
-def test_a_robot_drives_as_its_newest_cmd_vel_says_until_the_timeout(
-    server: WorldHost,
-) -> None:
+def test_a_robot_drives_as_its_newest_cmd_vel_says_until_the_timeout(server: WorldHost) -> None:
     spawn(server, "r1")
     server.step(120)
 
@@ -203,7 +198,7 @@ def test_a_world_file_is_loaded_with_its_own_step(tmp_path: Path) -> None:
             settings=ServerSettings(
                 start=StartSettings(world=str(file), paused=True),
                 physics=EngineSettings(engine="mujoco", engine_workers=0),
-            ),
+            )
         )
     )
 

@@ -243,8 +243,7 @@ def test_subscriptions_stay_and_get_the_messages_of_the_restored_run() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [lambda _: b"", lambda _: b"nonsense", lambda one: one[:-1], lambda one: one[::-1]],
+    "change", [lambda _: b"", lambda _: b"nonsense", lambda one: one[:-1], lambda one: one[::-1]]
 )
 def test_bytes_that_are_no_snapshot_are_refused(change: Callable[[bytes], bytes]) -> None:
     with World() as world:

@@ -26,12 +26,7 @@ WRONG: tuple[object, ...] = (
     1e30,
 )
 """Some are right for some parameters, which is no failure."""
-KINDS = {
-    "sim": zensim.World,
-    "robot": zensim.Robot,
-    "fleet": zensim.Fleet,
-    "topic": zensim.Topic,
-}
+KINDS = {"sim": zensim.World, "robot": zensim.Robot, "fleet": zensim.Fleet, "topic": zensim.Topic}
 LEFT_OUT = frozenset({"attach", "call", "close", "collect", "load", "pause", "play", "reset"})
 """Without arguments; or they take what the caller's own code is called with later."""
 PATIENT = frozenset({"timeout_s", "within", "progress", "after"})

@@ -204,8 +204,7 @@ def test_world_without_robots_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("engine", "model", "dynamics"),
-    [("pybullet", "box_bot", ""), ("mujoco", "box_bot", "auto")],
+    ("engine", "model", "dynamics"), [("pybullet", "box_bot", ""), ("mujoco", "box_bot", "auto")]
 )
 def test_world_that_cannot_be_copied_is_refused(
     engine: str, model: str, dynamics: Dynamics

@@ -95,8 +95,7 @@ def test_vector_env_does_what_single_ones_do(mode: AutoresetMode) -> None:
     options: dict[str, Any] = {"time_limit_s": 0.8, "task": "reach"}
     own = ZensimVectorEnv(2, autoreset_mode=mode, threads=1, **options)
     reference: SyncVectorEnv = SyncVectorEnv(
-        [lambda: ZensimEnv(**options)] * 2,
-        autoreset_mode=mode,
+        [lambda: ZensimEnv(**options)] * 2, autoreset_mode=mode
     )
     found, expected = own.reset(seed=[4, 8])[0][:, 0], reference.reset(seed=[4, 8])[0]
     assert (found == expected).all()

@@ -46,11 +46,7 @@ def edge(number: int, *actions: Part, released: bool = True, **fields: object) -
 
 
 def order(
-    nodes: Sequence[Part],
-    edges: Sequence[Part],
-    name: str = "o1",
-    update: int = 0,
-    major: int = 2,
+    nodes: Sequence[Part], edges: Sequence[Part], name: str = "o1", update: int = 0, major: int = 2
 ) -> Part:
     """Write an order with its header."""
     return header(major) | {

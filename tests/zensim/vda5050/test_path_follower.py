@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from tests.zensim.vda5050.orders import edge, node, order, write
-from zensim.vda5050.path_follower import (
-    ACKERMANN,
-    TRICYCLE,
-    RouteTable,
-    VehicleLimits,
-    follow,
-)
+from zensim.vda5050.path_follower import ACKERMANN, TRICYCLE, RouteTable, VehicleLimits, follow
 from zensim.vda5050.route_geometry import FloatArray, Route, make_route, sample_nurbs
 from zensim.vda5050.vda_messages import ControlPoint, CurvedEdge, Order, read_message
 

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.sim_server.description.robots import (
-    a_collision,
-    a_link,
-    a_robot,
-    a_visual,
-    an_inertial,
-)
+from tests.sim_server.description.robots import a_collision, a_link, a_robot, a_visual, an_inertial
 from zensim.proto.messages.model_messages import Shape
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners
 from zensim.sim_server.description.meshes.generated_solids import (

@@ -10,13 +10,7 @@ from PIL import Image
 
 from tests.sim_server.description.meshes.mesh_samples import BOX, exported
 from tests.sim_server.description.meshes.test_textures import an_image
-from zensim.proto.messages.model_messages import (
-    Inertial,
-    Link,
-    Model,
-    Shape,
-    Texture,
-)
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape, Texture
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.meshes import mesh_conversion
 from zensim.sim_server.description.meshes.mesh_conversion import (
@@ -35,10 +29,7 @@ BLUE = (0.0, 0.0, 1.0, 1.0)
 
 
 def a_model(
-    *,
-    is_static: bool = False,
-    collisions: tuple[Shape, ...] = (),
-    visuals: tuple[Shape, ...] = (),
+    *, is_static: bool = False, collisions: tuple[Shape, ...] = (), visuals: tuple[Shape, ...] = ()
 ) -> Model:
     return Model("m", (Link("base", Inertial(1.0), collisions, visuals),), is_static=is_static)
 
@@ -270,9 +261,7 @@ def test_missing_image_of_a_box_is_reported() -> None:
     assert [entry.status for entry in model.report] == ["ignored"]
 
 
-def test_images_beyond_the_budget_become_their_mean_colour(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_images_beyond_the_budget_become_their_mean_colour(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mesh_conversion, "MAX_IMAGE_BYTES_IN_ALL", 10)
     find = a_file_finder(m_quad_obj=OBJ, m_look_mtl=LOOK, m_wood_png=an_image())
 

@@ -118,8 +118,7 @@ def test_other_yaml_has_no_controllers(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["a: [", "\t: x", "a: b: c", "&a [*b]", "a: \x00", "{{: }", "a\n---\nb\n---\nc"],
+    "text", ["a: [", "\t: x", "a: b: c", "&a [*b]", "a: \x00", "{{: }", "a\n---\nb\n---\nc"]
 )
 def test_text_that_is_not_one_yaml_document_is_refused(text: str) -> None:
     with pytest.raises(ModelError) as refused:

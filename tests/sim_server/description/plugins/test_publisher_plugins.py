@@ -4,12 +4,7 @@ import pytest
 
 from tests.sim_server.description.robots import a_cart, a_plugin, mentions, subjects
 from zensim.proto.messages.drive_messages import RosBlock
-from zensim.proto.messages.model_messages import (
-    GroundTruth,
-    JointStatePublisher,
-    Model,
-    Origin,
-)
+from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Model, Origin
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError

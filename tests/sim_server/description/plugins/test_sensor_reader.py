@@ -23,11 +23,7 @@ from tests.sim_server.description.robots import (
     subjects,
 )
 from zensim.proto.messages.drive_messages import RosBlock
-from zensim.proto.messages.model_messages import (
-    Frame,
-    Origin,
-    Parameter,
-)
+from zensim.proto.messages.model_messages import Frame, Origin, Parameter
 from zensim.proto.messages.sensor_messages import ContactSensor, ImuSensor, RaySensor
 from zensim.sim_server.description.plugins.sensor_reader import (
     MAX_PARAMETERS,

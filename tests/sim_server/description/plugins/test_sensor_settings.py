@@ -298,8 +298,7 @@ def test_altimeter_and_magnetometer_are_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("altitude", "read"),
-    [("", None), ("<reference_altitude>123</reference_altitude>", 123.0)],
+    ("altitude", "read"), [("", None), ("<reference_altitude>123</reference_altitude>", 123.0)]
 )
 def test_air_pressure_is_read(altitude: str, read: float | None) -> None:
     inside = f"<air_pressure>{altitude}<pressure>{ATTRIBUTE}</pressure></air_pressure>"

@@ -292,8 +292,7 @@ def test_names_are_unique_within_a_sensor(kind: str) -> None:
         (
             "",
             a_sensor_plugin(
-                "gazebo_ros_camera",
-                "<camera_name>front</camera_name><triggered>true</triggered>",
+                "gazebo_ros_camera", "<camera_name>front</camera_name><triggered>true</triggered>"
             ),
             "front/image_trigger",
         ),

@@ -88,10 +88,7 @@ def test_wheels_that_become_spheres_are_reported() -> None:
             "'fl_steer_joint'",
         ),
         (a_car(a_plugin(CAR, CAR_JOINTS), tyre=""), "round collision"),
-        (
-            a_car(a_plugin(CAR, CAR_JOINTS)).replace('xyz="0.3', 'xyz="-0.3'),
-            "in one place",
-        ),
+        (a_car(a_plugin(CAR, CAR_JOINTS)).replace('xyz="0.3', 'xyz="-0.3'), "in one place"),
         (a_trike(a_plugin(TRIKE)), "'front_wheel_joint'"),
     ],
 )

@@ -14,13 +14,7 @@ from tests.sim_server.description.plugins.driven_robots import (
     a_steering,
     a_tyre,
 )
-from tests.sim_server.description.robots import (
-    a_collision,
-    a_joint,
-    a_link,
-    a_reference,
-    a_robot,
-)
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_reference, a_robot
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.sim_server.description.joint_reduction import LumpedModel
@@ -83,10 +77,7 @@ HIGH = a_tyre("roller_left", 0.0, 0.3).replace('xyz="0.0 0.3 0"', 'xyz="0 0.3 0.
         (a_diff_robot(FEET), None),
         (a_diff_robot(SHANK), None),
         (RING_ROBOT, None),
-        (
-            a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + KNEE_LIMIT),
-            None,
-        ),
+        (a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + KNEE_LIMIT), None),
         (
             a_diff_robot().replace("continuous", "revolute").replace(AXIS, AXIS + WHEEL_LIMIT),
             DriveOrder("diff", ("left", "right")),

@@ -118,11 +118,7 @@ def test_includes_that_multiply_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("text", "slug"),
-    [
-        ("<sdf version='1.9'/>", "sdf.model"),
-        ("<robot/>", "sdf.root"),
-        ("<sdf", "xml.syntax"),
-    ],
+    [("<sdf version='1.9'/>", "sdf.model"), ("<robot/>", "sdf.root"), ("<sdf", "xml.syntax")],
 )
 def test_included_file_is_refused_when_it_is_not_a_model(text: str, slug: str) -> None:
     with pytest.raises(ModelError) as caught:

@@ -27,8 +27,7 @@ def a_limit(lower: str, upper: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "limit",
-    ["", a_limit("-1e16", "1e16"), a_limit("-inf", "inf"), a_limit("-1e+16", "1e+16")],
+    "limit", ["", a_limit("-1e16", "1e16"), a_limit("-inf", "inf"), a_limit("-1e+16", "1e+16")]
 )
 def test_revolute_joint_without_limits_is_continuous(limit: str) -> None:
     (joint,) = joints_of(an_axis("0 0 1", limit))

@@ -21,15 +21,8 @@ from tests.sim_server.description.robots import (
     report_of,
     subjects,
 )
-from zensim.proto.messages.drive_messages import (
-    DiffDrive,
-    WheelPair,
-)
-from zensim.proto.messages.model_messages import (
-    Frame,
-    Model,
-    Origin,
-)
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
+from zensim.proto.messages.model_messages import Frame, Model, Origin
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.model_geometry import find_ground_clearance

@@ -10,12 +10,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_state, on_ground
-from tests.sim_server.physics.bullet_probe import (
-    client_of,
-    dynamics_of,
-    link_numbers,
-    unique_id_of,
-)
+from tests.sim_server.physics.bullet_probe import client_of, dynamics_of, link_numbers, unique_id_of
 from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Mimic, Model, Origin, Shape
 from zensim.proto.rigid_transforms import from_rpy

@@ -274,18 +274,14 @@ def test_engine_refuses_a_shape_that_it_cannot_make(engine: PyBulletEngine, shap
     assert bodies_in(engine) == 1
 
 
-def test_engine_refuses_a_robot_with_too_many_parts(
-    engine: PyBulletEngine,
-) -> None:
+def test_engine_refuses_a_robot_with_too_many_parts(engine: PyBulletEngine) -> None:
     with pytest.raises(EngineRefused, match=rf"{MAX_PARTS + 1}.*{MAX_PARTS}"):
         engine.add(a_many_legged(MAX_PARTS), a_state())
 
     assert bodies_in(engine) == 1
 
 
-def test_engine_simulates_a_robot_with_the_most_parts(
-    engine: PyBulletEngine,
-) -> None:
+def test_engine_simulates_a_robot_with_the_most_parts(engine: PyBulletEngine) -> None:
     body = engine.add(a_many_legged(MAX_PARTS - 1), a_state((0.0, 0.0, 5.0)))
 
     engine.step()
@@ -320,9 +316,7 @@ def test_engine_leaks_nothing_of_a_refused_model(engine: PyBulletEngine, model: 
     assert bodies_in(engine) == 1
 
 
-def test_engine_shares_shapes_among_robots_that_differ_by_namespace(
-    engine: PyBulletEngine,
-) -> None:
+def test_engine_shares_shapes_among_robots_that_differ_by_namespace(engine: PyBulletEngine) -> None:
     engine.add(in_namespace(a_box_bot(), "r0"), box_bot_at(0.0))
     before = next_shape(engine)
 
@@ -395,9 +389,7 @@ def test_engine_robot_still_collides_when_its_twin_was_removed(engine: PyBulletE
     assert engine.read([lower, upper]).base[:, 2] == pytest.approx([0.1, 0.3], abs=2e-3)
 
 
-def test_engine_reads_more_bodies_than_the_initial_capacity(
-    space: PyBulletEngine,
-) -> None:
+def test_engine_reads_more_bodies_than_the_initial_capacity(space: PyBulletEngine) -> None:
     bodies = [space.add(a_lopsided_box(), a_state((float(x), 0.0, 0.0))) for x in range(200)]
 
     assert space.read(bodies).base[:, :3] == pytest.approx(

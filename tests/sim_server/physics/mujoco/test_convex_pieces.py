@@ -76,9 +76,7 @@ def find_top(pieces: Sequence[HullPoints], x: float, y: float) -> float:
     for piece in pieces:
         # The top is the greatest height of a convex combination of corners above the place.
         weights = linprog(
-            -piece[:, 2],
-            A_eq=np.vstack([piece[:, :2].T, np.ones(len(piece))]),
-            b_eq=[x, y, 1.0],
+            -piece[:, 2], A_eq=np.vstack([piece[:, :2].T, np.ones(len(piece))]), b_eq=[x, y, 1.0]
         )
         tops += [-weights.fun] if weights.success else []
     return max(tops)
