@@ -107,7 +107,8 @@ class ClaimRetry:
         """
         is_over = self._give_up_s is not None and now_s >= self._give_up_s
         if not self.has_succeeded and (is_over or not is_transient):
-            raise_with_wait(error, self._wait_s)
+            left_s = 0.0 if self._give_up_s is None else max(0.0, self._give_up_s - now_s)
+            raise_with_wait(error, self._wait_s - left_s)
         if str(error) != self._reason:
             self._reason = str(error)
             LOG.info("waiting agent=%s reason=%r", self._agent, self._describe(error))

@@ -24,6 +24,7 @@ from zensim.proto.bus.session_opening import OPEN_TIMEOUTS_S, open_session
 from zensim.proto.bus_traffic import BusTraffic
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.near_names import name_choices
 from zensim.proto.network_protocols import MAX_REQUEST_BYTES, MAX_REQUEST_ID_BYTES, Sample, Stamp
 from zensim.proto.newest_messages import NewestMessages
 from zensim.proto.renewed_session import RENEW_AFTER, RenewedSession
@@ -61,6 +62,7 @@ EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
+LIST_WORLDS_S: Final = 0.3
 MAX_UNANSWERED: Final = 64
 """Spawns that got no reply in time, and whose ids are kept for a retry."""
 MAX_EXPECTED_KEYS: Final = 4096
@@ -1182,6 +1184,10 @@ class Bus:
         if given is not None and not self._session.info.routers_zid():
             # The link was there: perhaps the user was revoked meanwhile.
             return str(ask_for_refusal(self.endpoint, given))
+        found = self.list_tokens(keys.alive_server("*"), LIST_WORLDS_S)
+        if worlds := sorted({token.split("/")[1] for token in found} - {key.split("/")[1]}):
+            shown = name_choices("", worlds)
+            return f"no server replies on {key} at {self.endpoint}; its worlds are {shown}"
         what_to_do = "check --world-name, and that it runs"
         if given is None:
             what_to_do = "start one with 'zensim serve'"

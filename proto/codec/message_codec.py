@@ -9,6 +9,7 @@ import msgspec
 
 from zensim.proto.codec import cdr
 from zensim.proto.codec.cdr_reader import MalformedPayload
+from zensim.proto.codec.unknown_fields import describe_unknown_field
 
 __all__ = [
     "Format",
@@ -76,7 +77,7 @@ def encode(message: msgspec.Struct, format: Format) -> bytes:
 def decode(message_type: type[Message], payload: bytes, encoding: str = "") -> Message:
     """Decode a message; the Zenoh Encoding, else the first byte, selects the format.
 
-    An empty payload is the message with default fields.
+    An empty payload is the message with default fields. JSON has no other fields.
 
     Raises:
         MalformedPayload: The bytes do not encode this type, or do not fit the Encoding.
@@ -154,6 +155,9 @@ def _from_cdr(message_type: type[Message], payload: bytes, encoding: str) -> Mes
 
 def _from_json(message_type: type[Message], payload: bytes) -> Message:
     message = _json_decoder(message_type).decode(payload)
+    # People write JSON; programs, which may be of another version, write the other formats.
+    if unknown := describe_unknown_field(message_type, msgspec.json.decode(payload)):
+        raise MalformedPayload(unknown)
     try:
         _WRITE_MSGPACK(message)  # Only JSON has integers beyond 64 bits.
     except OverflowError as error:

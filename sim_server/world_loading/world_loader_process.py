@@ -74,7 +74,11 @@ def load_world_file(name: str, files: WorldFileSettings = USUAL_READING) -> Load
         raise ConfigError(f"world '{name}': {error}") from error
     except (FileTooLarge, NotRegularFile) as error:
         raise ConfigError(f"world '{name}' {error.strerror}") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"world '{name}' is not UTF-8: {error.reason}; convert it") from error
+    except OSError as error:
+        if Path(name).is_file():
+            raise ConfigError(f"world '{name}' cannot be read: {error.strerror}") from error
         builtin = ", ".join(list_builtin_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {builtin}") from error
     if files.strict:

@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 import pytest
@@ -197,6 +197,14 @@ def test_call_carries_its_request_id(router: Bus, client: Bus) -> None:
 
 def test_call_raises_when_no_server_is_present(client: Bus) -> None:
     with pytest.raises(NoServer, match="zensim serve"):
+        client.call(INFO, InfoRequest(), world="default")
+
+
+def test_call_of_another_world_names_those_that_there_are(router: Bus, client: Bus) -> None:
+    with (
+        closing(router.token(keys.alive_server("wa"))),
+        pytest.raises(NoServer, match="its worlds are wa"),
+    ):
         client.call(INFO, InfoRequest(), world="default")
 
 

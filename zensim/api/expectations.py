@@ -4,7 +4,10 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from zensim.api.api_errors import Timeout, Unsupported
+import numpy as np
+
+from zensim.api.api_errors import Invalid, Timeout, Unsupported
+from zensim.api.argument_checks import check_range, make_numbers
 from zensim.api.robot import EntityHandle
 from zensim.api.simulation import Simulation
 
@@ -36,13 +39,18 @@ class RobotExpectation:
             AssertionError: It was not there in time.
         """
         __tracebackhide__ = True
+        place = make_numbers("point", point, "(2,): x, y")
+        if place.shape != (2,) or not np.isfinite(place).all():
+            raise Invalid(f"point={str(point)[:40]} is no place", hint="give x, y")
+        x, y = place.tolist()
+        check_range("tolerance", tolerance, 0.0, math.inf)
         self._wait(
-            lambda: self._robot.pose.distance_to(*point) <= tolerance,
+            lambda: self._robot.pose.distance_to(x, y) <= tolerance,
             within,
             f"to be within {tolerance:g} m of {point}",
             lambda: (
-                f"distance {self._robot.pose.distance_to(*point):.3f} m, margin "
-                f"{tolerance - self._robot.pose.distance_to(*point):.3f} m"
+                f"distance {self._robot.pose.distance_to(x, y):.3f} m, margin "
+                f"{tolerance - self._robot.pose.distance_to(x, y):.3f} m"
             ),
         )
 
@@ -53,6 +61,7 @@ class RobotExpectation:
             AssertionError: It still moves then.
         """
         __tracebackhide__ = True
+        check_range("speed", speed, 0.0, math.inf)
         self._wait(
             lambda: self._robot.twist.speed <= speed and abs(self._robot.twist.w) <= REST_TURN,
             within,

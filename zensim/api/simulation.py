@@ -115,7 +115,8 @@ class HandleMapping(Mapping[str, Handle]):
 
     def __repr__(self) -> str:
         """List the names."""
-        return f"<{len(self)} {self._what}s: {', '.join(self)}>"
+        title = {"entity": "entities"}.get(self._what, f"{self._what}s")
+        return f"<{len(self)} {title}: {', '.join(self)}>"
 
 
 class Simulation(ClosedOnExit):

@@ -211,6 +211,8 @@ class _WorldDraft:
     allow_missing: bool
     frames: PoseGraph = field(default_factory=PoseGraph)
     taken: set[str] = field(default_factory=set)
+    reserved: frozenset[str] = frozenset()
+    """Names of models that are names of entities as they are."""
     models: list[PlacedModel] = field(default_factory=list)
 
 
@@ -349,6 +351,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
             f"model names {quote_names(repeated)} are used more than once; make them unique",
             slug="sdf.duplicate_name",
         )
+    draft.reserved = frozenset(one for one in names if _to_name(one) == one)
     saved = {
         model.get("name"): model
         for model in world.findall("state/model")
@@ -599,15 +602,23 @@ def _is_ground_plane(model: Model, origin: Origin) -> bool:
 
 
 def _make_entity_name(written: str, draft: _WorldDraft) -> str:
-    name = _NON_NAME_CHARACTERS.sub("_", written)[:MAX_ENTITY_NAME_LENGTH]
-    if not name[0].isalpha():
-        name = f"m{name}"
+    name = wanted = _to_name(written)
     number = 1
-    wanted = name
-    while name in draft.taken:
+    while name in draft.taken or (name in draft.reserved and name != written):
         number += 1
         name = f"{wanted}_{number}"
     draft.taken.add(name)
-    if name != written:
-        draft.report.applied(f"model {quote(written)}", f"renamed to {name!r}")
+    subject = f"model {quote(written)}"
+    if number > 1:
+        draft.report.suspicious(
+            subject, f"renamed to {name!r}, as {wanted!r} is another; rename it"
+        )
+    elif name != written:
+        draft.report.applied(subject, f"renamed to {name!r}")
     return name
+
+
+def _to_name(written: str) -> str:
+    """Make a name of an entity: letters, digits and underscores."""
+    name = _NON_NAME_CHARACTERS.sub("_", written)[:MAX_ENTITY_NAME_LENGTH]
+    return name if name[0].isalpha() else f"m{name}"

@@ -36,6 +36,16 @@ def test_serve_is_refused_in_one_line_for_mistyped_options(
     assert done.stdout == ""
 
 
+def test_world_that_is_not_utf_8_is_named_so(tmp_path: Path) -> None:
+    file = tmp_path / "latin.sdf"
+    file.write_bytes("<sdf version='1.9'><world name='é'/></sdf>".encode("latin-1"))
+
+    done = run_in_process("serve", "--world", str(file), "--listen", free_endpoint())
+
+    assert done.returncode == ExitCode.USAGE
+    assert "is not UTF-8" in done.stderr
+
+
 def test_serve_is_refused_with_listen_and_connect() -> None:
     done = run_in_process("serve", "--listen", free_endpoint(), "--connect", free_endpoint())
 

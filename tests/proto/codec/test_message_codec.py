@@ -165,8 +165,10 @@ def test_decode_accepts_integers_for_numbers() -> None:
     assert decode(Point, b"\x81\xa1x\x01") == Point(1.0)
 
 
-def test_decode_ignores_unknown_fields() -> None:
-    assert decode(Point, b'{"x": 1, "colour": {"r": [1]}}') == Point(1.0)
+def test_decode_ignores_unknown_fields_of_programs_and_refuses_those_of_people() -> None:
+    assert decode(Point, b"\x82\xa1x\x01\xa6colour\x02") == Point(1.0)
+    with pytest.raises(MalformedPayload, match="unknown field `colour`"):
+        decode(Point, b'{"x": 1, "colour": {"r": [1]}}')
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])

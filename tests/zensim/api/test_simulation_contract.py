@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import zensim
+from zensim.api.expectations import RobotExpectation
 from zensim.proto.messages.standard_messages import JointState
 
 NAN, INF = math.nan, math.inf
@@ -156,6 +157,19 @@ def list_waits_without_end() -> Iterator[Case]:
         yield f"read timeout_s={timeout_s}", read_odometry(timeout_s), zensim.Invalid
 
 
+def expect_to(method: str, *arguments: object, **keywords: object) -> Act:
+    return lambda sim, robot: getattr(RobotExpectation(sim, robot), method)(*arguments, **keywords)
+
+
+def list_wrong_expectations() -> Iterator[Case]:
+    for point in ((NAN, 0.0), (1.0,), "ab"):
+        yield f"to_reach {point}", expect_to("to_reach", point), zensim.Invalid
+    for number in (NAN, -1.0):
+        limits = {"tolerance": number}
+        yield f"to_reach {limits}", expect_to("to_reach", (9.0, 9.0), **limits), zensim.Invalid
+        yield f"to_stop {number}", expect_to("to_stop", speed=number), zensim.Invalid
+
+
 def read_odometry(timeout_s: float) -> Act:
     return lambda _, robot: robot.topic("odom").read(after=1e9, timeout_s=timeout_s)
 
@@ -172,6 +186,7 @@ CASES = tuple(
         list_wrong_new_names,
         list_wrong_words,
         list_waits_without_end,
+        list_wrong_expectations,
     )
     for case in listed()
 )

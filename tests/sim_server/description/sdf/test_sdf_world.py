@@ -637,6 +637,16 @@ def test_models_of_one_name_are_renamed_and_reported() -> None:
     assert mentions(world.report, "suspicious", "model 'box'", "'box_3'")
 
 
+def test_model_whose_name_is_valid_keeps_it() -> None:
+    names = ("a-b", "a.b", "a_b", "1x")
+
+    world = read_world(a_world(GROUND, *(a_crate(name) for name in names)))
+
+    assert [placed.name for placed in world.models] == ["a_b_2", "a_b_3", "a_b", "m1x"]
+    assert mentions(world.report, "suspicious", "model 'a-b'", "'a_b_2'")
+    assert mentions(world.report, "applied", "model '1x'", "'m1x'")
+
+
 def test_links_of_one_name_are_renamed_and_reported() -> None:
     joint = a_joint("j", ("a", "b"))
     nested = a_nested(a_link("a") + a_link("b") + a_link("b") + joint, "door")
