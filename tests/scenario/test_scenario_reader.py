@@ -58,6 +58,19 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         [(3, 12, "robots[0].name")],
     ),
     "same_robot_twice": (HEAD + "  - {name: cart1, model: box_bot}\n", [(4, 12, "robots[1].name")]),
+    "same_namespace_twice": (
+        HEAD.replace("count", "namespace: cart9, count")
+        + "  - {name: a, model: box_bot, namespace: /cart9}\n",
+        [(4, 42, "robots[1].namespace")],
+    ),
+    "namespace_of_a_name": (
+        HEAD + "  - {name: a, model: box_bot, namespace: cart1}\n",
+        [(4, 42, "robots[1].namespace")],
+    ),
+    "reserved_namespace": (
+        "zensim: 1\nrobots:\n  - {name: a, model: box_bot, namespace: sim/a}\n",
+        [(3, 42, "robots[0].namespace")],
+    ),
     "zero_robots": (
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, count: 0}\n",
         [(3, 38, "robots[0].count")],

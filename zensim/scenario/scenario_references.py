@@ -6,7 +6,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from zensim.proto.names import NAME_PATTERN
+from zensim.proto.names import NAME_PATTERN, InvalidName, check_namespace
 from zensim.scenario.quantities import Draw, PlainValue
 from zensim.scenario.recorded_commands import read_commands
 from zensim.scenario.robot_places import ScenarioRobot, name_group, place_group, read_pose_file
@@ -142,6 +142,7 @@ class ReferenceCheck:
         for name in repeated:
             last = [robot for robot in self.robots if robot.name == name][-1]
             self._refuse(f"robots[{last.group}].name", f"a second robot would be `{name}`")
+        self._check_namespaces()
         for sections in (("agents",), ("behaviours", "faults"), ("checks",)):
             seen: set[str] = set()
             for section in sections:
@@ -150,6 +151,23 @@ class ReferenceCheck:
                         path = f"{section}[{index}].name"
                         self._refuse(path, f"the name `{entry['name']}` is given twice")
                     seen.add(str(entry.get("name")))
+
+    def _check_namespaces(self) -> None:
+        groups = dict(self._list_entries("robots"))
+        given = {index: group.get("namespace") for index, group in groups.items()}
+        taken = {robot.name for robot in self.robots if not given.get(robot.group)}
+        for index, namespace in given.items():
+            if not namespace:
+                continue
+            path = f"robots[{index}].namespace"
+            try:
+                bare = check_namespace(namespace)
+            except InvalidName as error:
+                self._refuse(path, str(error))
+                continue
+            if bare in taken:
+                self._refuse(path, f"`{bare}` is the namespace of another robot")
+            taken.add(bare)
 
     def _check_selector(self, path: str, selector: PlainValue) -> None:
         if selector is None or (isinstance(selector, list) and None in selector):
