@@ -13,7 +13,7 @@ from zensim.proto.codec.message_codec import (
 )
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import CommandKind, Model
-from zensim.proto.messages.standard_messages import Float64MultiArray, JointState
+from zensim.proto.messages.standard_messages import Float64MultiArray, JointState, MultiArrayLayout
 
 KIND_OF_INTERFACE: Final[dict[CommandKind, JointTargetKind]] = {
     "position": JointTargetKind.POSITION,
@@ -112,6 +112,7 @@ def _narrow(
 class _EitherCommand(JointState, frozen=True):
     """Union of the fields of both types."""
 
+    layout: MultiArrayLayout = MultiArrayLayout()
     data: tuple[float, ...] | None = None
 
 
