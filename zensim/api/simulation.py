@@ -68,13 +68,14 @@ from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.spawn.spawn_client import send_files, spawn_bonded, spawn_many
 
 if TYPE_CHECKING:
-    from typing_extensions import Self, Unpack
+    from typing_extensions import Unpack
 
     from zensim.api.topic import Topic, TopicCallback
     from zensim.api.world_picture import WorldPicture
     from zensim.api.world_recorder import WorldRecorder
 
 Handle = TypeVar("Handle", bound=EntityHandle)
+Own = TypeVar("Own", bound="Simulation")
 RATE_TOLERANCE = 1e-6
 MAX_SEED = (1 << 64) - 1
 MAX_STEPS = 10_000_000
@@ -287,7 +288,7 @@ class Simulation(ClosedOnExit):
         self.entities[name].delete()
 
     @contextmanager
-    def temporary(self) -> Iterator["Self"]:
+    def temporary(self: Own) -> Iterator[Own]:
         """Delete at the end of the block what was spawned in it."""
         before = set(self._session.access.refresh().row)
         try:
