@@ -50,7 +50,6 @@ def test_decode_twist_distinguishes_the_types_by_length(frame_id: str) -> None:
         (b'{"twist": {"linear": {"x": 1}}}', Twist(Vector3(1.0))),
         (b'{"header": {}, "twist": {"linear": {"x": 1}}}', Twist(Vector3(1.0))),
         (b'{"header": {"frame_id": "base_link"}}', Twist()),
-        (b'{"speed": 3}', Twist()),
     ],
 )
 def test_decode_twist_distinguishes_the_types_by_their_keys(text: bytes, twist: Twist) -> None:
@@ -58,6 +57,11 @@ def test_decode_twist_distinguishes_the_types_by_their_keys(text: bytes, twist: 
 
     assert read == twist
     assert type(read) is Twist
+
+
+def test_field_of_neither_type_is_refused() -> None:
+    with pytest.raises(MalformedPayload, match="speed"):
+        decode_twist(b'{"speed": 3}')
 
 
 def test_decode_twist_reads_no_bytes_as_a_stop() -> None:
