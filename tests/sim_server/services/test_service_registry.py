@@ -404,26 +404,30 @@ REFUSED = {
         SpawnCode.INVALID_POSE,
         "pose.refused: .*1e-09",
     ),
-    "spawn beside nobody": (a_spawn_at(Pose(), "r7"), ResultCode.NOT_FOUND, "'r7'"),
-    "delete nobody": (DeleteEntityRequest("r7"), ResultCode.NOT_FOUND, "'r7'"),
+    "spawn beside an absent entity": (a_spawn_at(Pose(), "r7"), ResultCode.NOT_FOUND, "'r7'"),
+    "delete an absent entity": (DeleteEntityRequest("r7"), ResultCode.NOT_FOUND, "'r7'"),
     "filter": (
         entity_messages.GetEntitiesRequest(entity_messages.EntityFilters("r(")),
         ResultCode.OPERATION_FAILED,
         r"'r\('",
     ),
-    "ask for the state of nobody": (
+    "ask for the state of an absent entity": (
         entity_messages.GetEntityStateOrder("r7"),
         ResultCode.NOT_FOUND,
         "'r7'",
     ),
-    "place nobody": (entity_messages.SetEntityStateRequest("r7"), ResultCode.NOT_FOUND, "'r7'"),
+    "place an absent entity": (
+        entity_messages.SetEntityStateRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
     "place nowhere": (a_placing(Pose(Point(x=NAN))), SetEntityStateCode.INVALID_POSE, "finite"),
     "place too fast": (
         a_placing(twist=Twist(Vector3(1e5))),
         SetEntityStateCode.INVALID_POSE,
         "10000",
     ),
-    "place beside nobody": (
+    "place beside an absent entity": (
         entity_messages.SetEntityStateRequest("r0", EntityState(Header(frame_id="r7"))),
         ResultCode.NOT_FOUND,
         "'r7'",
@@ -456,7 +460,7 @@ REFUSED = {
         "'ghost'",
     ),
     "claim nothing": (agent_messages.ClaimEntityRequest("a"), ClaimCode.NOT_DRIVABLE, "."),
-    "claim nobody": (
+    "claim an absent entity": (
         agent_messages.ClaimEntityRequest("a", ("r0", "r7")),
         ResultCode.NOT_FOUND,
         "'r7'",
@@ -466,7 +470,7 @@ REFUSED = {
         ClaimCode.ALREADY_CLAIMED,
         "'r1'.*'b'",
     ),
-    "ask for the model of nobody": (
+    "ask for the model of an absent entity": (
         telemetry_messages.GetModelsRequest(("r7",)),
         ResultCode.NOT_FOUND,
         "'r7'",
