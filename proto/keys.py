@@ -3,7 +3,7 @@
 Names are validated before: see `zensim.proto.names`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 NO_NAMESPACE: Final = "zensim-no-robot"
@@ -77,6 +77,11 @@ def parse_user(key: str) -> str:
 def alive_server(world: str) -> str:
     """Liveliness token of the server."""
     return f"sim/{world}/alive/server"
+
+
+def list_served_worlds(tokens: Iterable[str]) -> list[str]:
+    """List the worlds of `alive_server` tokens, sorted."""
+    return sorted({token.split("/")[1] for token in tokens})
 
 
 def alive_agent(world: str, agent: str) -> str:

@@ -106,6 +106,7 @@ class MemoryCall:
         self.key = key
         self.payload = payload
         self.size = len(payload)
+        self.start = payload[:1]
         self.encoding = encoding
         self.user = keys.parse_user(key)
         self.request_id = request_id
@@ -431,6 +432,10 @@ class MemoryBus:
         """List the tokens on a key expression."""
         del timeout_s
         return [token.key for token in self.tokens if keys.intersect(key, token.key)]
+
+    def list_worlds(self, timeout_s: float = 1.0) -> list[str]:
+        """List the names of the worlds that servers serve, sorted."""
+        return keys.list_served_worlds(self.list_tokens(keys.alive_server("*"), timeout_s))
 
     def watch_tokens(self, key: str, depth: int = 16384) -> MemoryTokenWatch:
         """Watch tokens, present ones first."""

@@ -90,6 +90,10 @@ class ServiceCall(Protocol):
         """Bytes of the request."""
 
     @property
+    def start(self) -> bytes:
+        """First byte of the request, or more; empty if it is long and was refused unread."""
+
+    @property
     def request_id(self) -> bytes:
         """The same for a retry; empty when the caller does not retry.
 

@@ -1,6 +1,5 @@
 """`zensim doctor`: check this host, its connection, the server, robots, and the needs of ROS 2."""
 
-import re
 import socket
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -14,7 +13,7 @@ from zensim.deploy.cli.host_findings import describe_host
 from zensim.deploy.cli.ros_observation import observe_robot
 from zensim.deploy.cli.ros_requirements import RosStack, check_stack
 from zensim.deploy.cli.sensor_commands import count_sensors_of_processes, fetch_sensor_stats
-from zensim.proto import keys, service_catalog
+from zensim.proto import service_catalog
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, JoinRefused, NoServer
 from zensim.proto.bus.bus_session import Bus, open_bus
@@ -124,14 +123,14 @@ def _refused_finding(message: str) -> Finding:
 
 
 def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
-    worlds = sorted(filter(None, map(_parse_world, bus.list_tokens(keys.alive_server("*")))))
+    worlds = bus.list_worlds()
     try:
         info = bus.call(service_catalog.INFO, InfoRequest(), world=world, timeout_s=REPLY_TIMEOUT_S)
     except TimeoutError:
         yield _silent_server_finding(world)
         return
     except NoServer:
-        has_gone = world in worlds and not bus.list_tokens(keys.alive_server(world))
+        has_gone = world in worlds and world not in bus.list_worlds()
         yield _silent_server_finding(world) if has_gone else _no_server_finding(world, worlds)
         return
     yield Finding(
@@ -142,11 +141,6 @@ def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
     models = ServiceClient(bus, world).models()
     yield _check_robots(models)
     yield from _check_sensors(bus, world, models)
-
-
-def _parse_world(key: str) -> str:
-    match = re.fullmatch(r"sim/([^/]+)/alive/server", key)
-    return match[1] if match else ""
 
 
 def _silent_server_finding(world: str) -> Finding:

@@ -63,6 +63,8 @@ RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 SPAWNS: Final = frozenset({SPAWN_ENTITY.name, SPAWN_ENTITIES.name})
 LIST_WORLDS_S: Final = 0.3
+MAX_UNREAD_BYTES: Final = 4096
+"""Most bytes of a request that is refused unread which are copied to see its format."""
 MAX_UNANSWERED: Final = 64
 """Spawns that got no reply in time, and whose ids are kept for a retry."""
 MAX_EXPECTED_KEYS: Final = 4096
@@ -556,6 +558,12 @@ class BusQuery:
         self._traffic.received_bytes += self.size
         return payload.to_bytes() if payload and self.size <= MAX_REQUEST_BYTES else b""
 
+    @property
+    def start(self) -> bytes:
+        """First byte of the request; empty if it is long and was refused unread."""
+        is_read = "payload" in self.__dict__
+        return self.payload[:1] if is_read or self.size <= MAX_UNREAD_BYTES else b""
+
     @cached_property
     def request_id(self) -> bytes:
         """Attachment, cut where it is too long for an id; differs from that of other users."""
@@ -1043,6 +1051,10 @@ class Bus:
         replies = self._session.liveliness().get(key, FifoChannel(MAX_REPLIES), timeout=timeout_s)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
+    def list_worlds(self, timeout_s: float = 1.0) -> list[str]:
+        """List the names of the worlds that servers serve on this network, sorted."""
+        return keys.list_served_worlds(self.list_tokens(keys.alive_server("*"), timeout_s))
+
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         """Query a key expression and collect the replies."""
         replies = self._session.get(
@@ -1184,8 +1196,7 @@ class Bus:
         if given is not None and not self._session.info.routers_zid():
             # The link was there: perhaps the user was revoked meanwhile.
             return str(ask_for_refusal(self.endpoint, given))
-        found = self.list_tokens(keys.alive_server("*"), LIST_WORLDS_S)
-        if worlds := sorted({token.split("/")[1] for token in found} - {key.split("/")[1]}):
+        if worlds := [w for w in self.list_worlds(LIST_WORLDS_S) if w != key.split("/")[1]]:
             shown = name_choices("", worlds)
             return f"no server replies on {key} at {self.endpoint}; its worlds are {shown}"
         what_to_do = "check --world-name, and that it runs"

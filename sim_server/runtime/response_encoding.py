@@ -13,9 +13,6 @@ from zensim.proto.codec.message_codec import (
 )
 from zensim.proto.network_protocols import ServiceCall
 
-MAX_DETECTED_BYTES = 4096
-"""A longer request has the format that its encoding says, if it is refused unread."""
-
 
 @dataclass(frozen=True)
 class CachedResponse:
@@ -39,8 +36,7 @@ def encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedRespon
 
 def find_reply_format(call: ServiceCall) -> Format:
     """Find the format of a request, in which it is replied to."""
-    payload = call.payload if call.size <= MAX_DETECTED_BYTES else b""
     try:
-        return detect_format(payload, call.encoding)
+        return detect_format(call.start, call.encoding)
     except MalformedPayload:
         return Format.JSON if "json" in call.encoding else Format.MSGPACK

@@ -205,12 +205,16 @@ def test_call_of_another_world_names_those_that_there_are(router: Bus, client: B
         client.call(INFO, InfoRequest(), world="default")
 
 
-def test_many_requests_are_taken_in_batches(router: Bus) -> None:
-    calls = router.serve(keys.services("default"))
+def plain_session(router: Bus) -> zenoh.Session:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{router.endpoint}"]')
-    with zenoh.open(config) as session:
+    return zenoh.open(config)
+
+
+def test_many_requests_are_taken_in_batches(router: Bus) -> None:
+    calls = router.serve(keys.services("default"))
+    with plain_session(router) as session:
         waiting = [session.get(f"sim/default/s{number}") for number in range(MAX_TAKEN + 100)]
         batches: list[list[str]] = []
         while sum(map(len, batches)) < len(waiting):
@@ -223,6 +227,17 @@ def test_many_requests_are_taken_in_batches(router: Bus) -> None:
     assert [name for batch in batches for name in batch] == [
         f"s{i}" for i in range(MAX_TAKEN + 100)
     ]
+
+
+@pytest.mark.parametrize(("size", "start"), [(4096, b"{"), (4097, b"")])
+def test_long_request_is_not_copied_to_see_its_format(router: Bus, size: int, start: bytes) -> None:
+    calls = router.serve(keys.services("default"))
+    with plain_session(router) as session:
+        session.get("sim/default/info", payload=b"{" * size)
+        (call,) = eventually(lambda: calls.take() or None, 5.0, "coming")
+        assert call.start == start
+        assert call.payload[:1] == call.start == b"{"
+        call.drop()
 
 
 def test_queries_above_the_limit_end_at_once_without_a_reply(router: Bus) -> None:

@@ -159,12 +159,14 @@ def test_deleting_keeps_claims_and_poses_of_others(server: Server) -> None:
         assert odom.now().child_frame_id
 
 
-def test_json_request_gets_a_json_reply(server: Server) -> None:
+@pytest.mark.parametrize("spaces", [0, 5000])
+def test_json_request_gets_a_json_reply(server: Server, spaces: int) -> None:
     server.client.spawn_all(a_fleet("r0", "r1"))
     request = {"filters": {"filter": "1$"}, "reference_frame": "r0"}
 
     (sample,) = server.bus.get(
-        keys.service("default", "get_entities_states"), payload=json.dumps(request).encode()
+        keys.service("default", "get_entities_states"),
+        payload=json.dumps(request).encode() + b" " * spaces,
     )
 
     response = json.loads(sample.payload)

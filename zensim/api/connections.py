@@ -19,7 +19,6 @@ from zensim.api.server_access import ServerAccess
 from zensim.api.sim import Sim
 from zensim.api.simulation import read_world_keywords
 from zensim.api.world_access import api_errors
-from zensim.proto import keys
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, ForkedProcess, JoinRefused, NoSession
 from zensim.proto.bus.bus_session import Bus, open_bus_with_retry
@@ -84,7 +83,7 @@ def connect(
     with ExitStack() as stack, limited(timeout_s):
         bus = stack.enter_context(_open(where, source, timeout_s))
         name = world or _find_world(bus, deadline)
-        if name not in (there := _list_worlds(bus)):
+        if name not in (there := bus.list_worlds(limit(LIST_TIMEOUT_S))):
             raise NotFound(
                 f"no world '{name}' at {bus.endpoint}",
                 hint=f"there are {', '.join(there)}" if there else "start one with 'zensim serve'",
@@ -181,7 +180,7 @@ def servers(endpoint: str | None = None, *, timeout_s: float = 2.0) -> tuple[Ser
                 ServerEntry(
                     name, bus.endpoint, ServiceClient(bus, name, limit(CALL_TIMEOUT_S)).info()
                 )
-                for name in _list_worlds(bus)
+                for name in bus.list_worlds(limit(LIST_TIMEOUT_S))
             )
 
 
@@ -228,14 +227,9 @@ def _open(where: str, source: str, timeout_s: float) -> Bus:
         raise Unreachable(f"no server at {hide_token(where)} ({source})") from error
 
 
-def _list_worlds(bus: Bus) -> list[str]:
-    found = bus.list_tokens(keys.alive_server("*"), limit(LIST_TIMEOUT_S))
-    return sorted(key.split("/")[1] for key in found)
-
-
 def _find_world(bus: Bus, deadline: float) -> str:
     while True:
-        names = _list_worlds(bus)
+        names = bus.list_worlds(limit(LIST_TIMEOUT_S))
         if len(names) == 1 or DEFAULT_WORLD in names:
             return DEFAULT_WORLD if DEFAULT_WORLD in names else names[0]
         if names:

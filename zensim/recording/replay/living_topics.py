@@ -58,8 +58,7 @@ def require_unused(network: "Bus", wanted: Collection[str], world: str, domain: 
 
 def _list_worlds(network: "Bus", wanted: Collection[str], world: str) -> Iterator[str]:
     """List what running worlds publish: namespaces of robots, and keys of the root."""
-    for token in network.list_tokens(keys.alive_server("*")):
-        name = token.split("/")[1]
+    for name in network.list_worlds():
         models = ServiceClient(network, name, WORLD_TIMEOUT_S).models()
         namespaces = {one.namespace.strip("/") for one in models.entities}
         for namespace in _find_namespaces(wanted, namespaces):
