@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import signal
 import subprocess
 import sys
 import tempfile
@@ -124,7 +125,7 @@ def _find_reason(folder: Path, status: int | None) -> str:
 
 def run_head(parent: int, options: list[str]) -> None:
     """Become `ray start`, which keeps what the kernel shall do at the end of the parent."""
-    die_with_parent(parent=parent)
+    die_with_parent(signal.SIGTERM, parent=parent)
     command = make_module_command("ray.scripts.scripts", "start", *options)
     os.execv(command[0], command)
 

@@ -61,6 +61,7 @@ class Ros2Call:
         self._form = forms[0]
         self.name = forms[0].service
         self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
+        self.start = self.payload[:1]
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
         self.client = call.client if attachment is None else attachment.gid.hex()
         self.session = call.session

@@ -55,7 +55,7 @@ class CancelBatch:
 class ActionCall:
     """A call of the server's own step services by this action; see `ServiceCall`."""
 
-    payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
+    payload, start, encoding, request_id, size = b"", b"", MSGPACK_ENCODING, b"", 0
     client, session = "simulate_steps action", ""
     user = ROS_USER
 

@@ -27,7 +27,7 @@ class PublishedCall:
     session = ""
 
     def __init__(self, sample: Sample, topics: "StepTopics") -> None:
-        self.payload = sample.payload
+        self.payload, self.start = sample.payload, sample.payload[:1]
         self.encoding = sample.encoding
         self.request_id = sample.attachment[: MAX_REQUEST_ID_BYTES + 1]
         self.size = len(sample.payload)
