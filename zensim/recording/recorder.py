@@ -52,8 +52,8 @@ WALL_PERIOD_S: Final = 0.01
 """Time between two takes, where the time of a take is the log time of its messages."""
 SHORT_PERIOD_S: Final = 0.02
 """Time between two takes where messages have the clock of the take, or many arrive."""
-LONG_PERIOD_S: Final = 0.1
-"""Longest time between two takes where all have stamps: a take costs as much as 20 messages."""
+LEAST_PERIOD_S, LONG_PERIOD_S = 0.002, 0.1
+"""Shortest time between two takes; longest where all have stamps: a take costs 20 messages."""
 EVENTS_DEPTH: Final = 1024
 MOST_OPENED: Final = 256
 """Subscriptions to topics of single robots that a take begins."""
@@ -164,6 +164,8 @@ class Recorder:
     _period, _taken_ns, _taken_s = 0, 0, 0.0
     _most_taken = 0
     """Messages of one key expression in the last take."""
+    _thinned_period_s = SHORT_PERIOD_S
+    """Half of the wall time of a period, where messages are thinned."""
     _stamped_period_s = SHORT_PERIOD_S
     """Time between two takes where all messages have stamps."""
 
@@ -204,6 +206,7 @@ class Recorder:
         self._announced: dict[str, set[str]] = {}
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
+        self._follows_clock = settings.is_in_process
         self._last_ns: dict[RecordedTopic, int] = {}
         self._early: list[Sample] = []  # of the time after a reset, until they are due
         self._record_latched()
@@ -224,8 +227,9 @@ class Recorder:
         settings = self._settings
         if settings.time_base == "wall":
             return WALL_PERIOD_S
-        is_soon = self._has_unstamped or settings.period_ns
-        return SHORT_PERIOD_S if is_soon else self._stamped_period_s
+        if settings.period_ns:
+            return self._thinned_period_s
+        return SHORT_PERIOD_S if self._has_unstamped else self._stamped_period_s
 
     def take(self, *, is_last: bool = False) -> None:
         """Hand over all messages that arrived since the last call.
@@ -323,6 +327,9 @@ class Recorder:
         is_paused = self._now_ns == self._taken_ns and now_s >= self._taken_s + PAUSED_PERIOD_S
         is_over = period != self._period or is_paused
         if is_over:
+            passed_s, passed_ns = now_s - self._taken_s, self._now_ns - self._taken_ns
+            fitting_s = passed_s * period_ns / passed_ns / 2 if passed_ns > 0 else SHORT_PERIOD_S
+            self._thinned_period_s = min(SHORT_PERIOD_S, max(LEAST_PERIOD_S, fitting_s))
             self._period, self._taken_ns, self._taken_s = period, self._now_ns, now_s
         return is_over
 
@@ -474,8 +481,10 @@ class Recorder:
             now_ns = max(0, ns_from_time(clock.clock))
             log_ns = received_ns if self._settings.time_base == "wall" else now_ns
             publish_ns = log_ns if self._settings.is_reproducible else received_ns
-            # On the network, the first time that was read may be later than what waits here.
-            is_back = self._settings.is_in_process and now_ns < self._now_ns
+            # On the network, the first time that was read may be later than what waits here. A
+            # server that was started again begins with the same epoch.
+            is_back = self._follows_clock and now_ns < self._now_ns
+            self._follows_clock = True
             if clock.epoch != self._epoch or is_back:
                 if self._fleet is not None:
                     self._fleet.collect(self._epoch)
