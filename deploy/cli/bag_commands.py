@@ -8,6 +8,7 @@ import msgspec
 import typer
 
 from zensim.deploy.cli.convert_commands import CONVERT_EXAMPLES, convert_command
+from zensim.deploy.cli.opened_recording import note_unread
 from zensim.deploy.cli.plot_commands import plot_command
 from zensim.deploy.cli.recording_options import TopicListCommand
 from zensim.deploy.cli.table_commands import export_command
@@ -15,9 +16,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import JsonOption, flag
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
-from zensim.proto.verbosity import print_note
 from zensim.recording.bag_info import BagInfo, read_info
-from zensim.recording.recording_parts import list_own_files
 from zensim.recording.recovery import RecoveryResult, recover_file
 
 app = make_app("bag")
@@ -53,12 +52,7 @@ def info_command(path: FileArgument, *, as_json: JsonOption = False) -> None:
     """Show files, times, topics and attachments, also of a recording that was never closed."""
     with exit_on_failure("bag info"):
         found = read_info(path)
-        further = [] if path.is_dir() else [one for one in list_own_files(path) if one != path]
-    if further:
-        names = further[0].name + (f" to {further[-1].name}" if len(further) > 1 else "")
-        print_note("bag", f"more of this recording is in {names}; 'zensim bag convert' joins files")
-    for file in found.unclosed:
-        print_note("bag", f"{file} was never closed, and is read in whole; 'zensim bag recover'")
+        note_unread("bag", path, found.unclosed)
     if as_json:
         facts = {**msgspec.to_builtins(found), "duration_s": found.duration_s}
         print_lines(msgspec.json.encode(facts).decode())

@@ -7,6 +7,7 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
+from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import (
     ExcludeRegexOption,
     ExcludeTopicsOption,
@@ -23,12 +24,10 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.options.command_options import JsonOption, parse_choice
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
-from zensim.proto.verbosity import print_note
 from zensim.recording.byte_sizes import parse_size
 from zensim.recording.conversion import ConversionSettings, convert_recordings
 from zensim.recording.mcap_writer import DEFAULT_PRESET, PRESETS
 from zensim.recording.recording_parts import PartSettings
-from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
 CONVERT_EXAMPLES: Final = """Examples:
@@ -74,12 +73,9 @@ def convert_command(given: ConvertOptions) -> None:
     """Write recordings to a new one: split, merged, filtered, or compressed otherwise."""
     with exit_on_failure("bag convert"):
         settings = make_conversion_settings(given)
-        readers = [RecordingReader(path) for path in given.paths]
-        for file in (file for reader in readers for file in reader.unclosed):
-            print_note("bag", f"{file} was never closed, and is read in whole")
+        readers = [open_recording("bag", path, given.paths) for path in given.paths]
         result = convert_recordings(readers, settings)
-    if result.damaged:
-        print_note("bag", f"{result.damaged} damaged places were left out")
+    note_damage("bag", result.damaged)
     if given.as_json:
         print_lines(msgspec.json.encode(result).decode())
     else:

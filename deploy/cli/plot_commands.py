@@ -8,14 +8,13 @@ from typing import Annotated, Final
 import msgspec
 import typer
 
+from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
-from zensim.proto.verbosity import print_note
 from zensim.recording.message_series import MessageSeries, parse_series_choice, read_series
-from zensim.recording.recording_reader import RecordingReader
 
 SUFFIXES: Final = (".png", ".svg", ".pdf")
 
@@ -76,12 +75,11 @@ def plot_command(given: PlotOptions) -> None:
             )
         if find_spec("matplotlib") is None:
             raise MissingPlotExtra("matplotlib is not installed; use pip install 'zensim[plot]'")
-        reader = RecordingReader(given.path)
+        reader = open_recording("bag", given.path)
         start_ns, end_ns = find_log_span(reader, given.start_offset, given.duration)
         found = read_series(reader, choices, start_ns=start_ns, end_ns=end_ns)
         _draw(found, target, given.path.name)
-    for file in reader.unclosed:
-        print_note("bag", f"{file} was never closed, and is read in whole; 'zensim bag recover'")
+    note_damage("bag", reader.damaged)
     _report(found, target, as_json=given.as_json)
 
 

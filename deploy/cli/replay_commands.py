@@ -12,6 +12,7 @@ import msgspec
 import typer
 from typer.core import TyperCommand
 
+from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import (
     TIME_PANEL,
     TOPIC_LISTS,
@@ -201,7 +202,7 @@ def replay(given: ReplayOptions) -> None:
     """Publish the messages of a recording again, with a clock, until its end."""
     with exit_on_failure("replay"):
         settings = make_replay_settings(given)
-        reader = open_recording(given.path)
+        reader = open_recording("replay", given.path)
         names = ReplayedNames(make_name_settings(given), reader.topics)
         note_left_out(names)
         stop = StopFlag(is_armed=False)
@@ -252,19 +253,6 @@ def make_name_settings(given: ReplayOptions) -> NameSettings:
         namespace=given.namespace,
         world=given.world_name,
     )
-
-
-def open_recording(path: Path) -> RecordingReader:
-    """Open a recording; note files that were never closed.
-
-    Raises:
-        OSError: It cannot be read.
-        ValueError: It is not a recording.
-    """
-    reader = RecordingReader(path)
-    for file in reader.unclosed:
-        print_note("replay", f"{file} was never closed, and is read in whole; 'zensim bag recover'")
-    return reader
 
 
 @contextmanager
@@ -382,8 +370,7 @@ def print_end(given: ReplayOptions, replayer: Replayer, reader: RecordingReader)
     if given.as_json:
         print_lines(msgspec.json.encode(figures).decode())
         return
-    if figures.damaged:
-        print_note("replay", f"{figures.damaged} damaged places of the recording were left out")
+    note_damage("replay", figures.damaged)
     if not CURRENT.is_quiet:
         print_lines(
             f"{figures.path}: {figures.messages} messages up to {figures.position_s:.2f} s, "

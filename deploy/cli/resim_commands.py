@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import msgspec
 import typer
 
+from zensim.deploy.cli.opened_recording import open_recording
 from zensim.proto.codec.message_codec import Format, decode, make_encoding
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.input_messages import Inputs
@@ -21,7 +22,6 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.pace_settings import PaceSettings
 from zensim.proto.settings.setting import make_settings
 from zensim.proto.topic_catalog import INPUTS
-from zensim.proto.verbosity import print_note
 from zensim.recording.recording_reader import RecordingReader, StoredTopic
 from zensim.sim_server.physics.engine_config import parse_engine_name
 from zensim.sim_server.server_extra import MissingServerExtra, server_extra
@@ -136,9 +136,7 @@ def run_recording(path: Path, changes: "ResimChanges") -> "ResimResult":
     from zensim.sim_server.input_log.resimulation import Resimulation
 
     with TemporaryDirectory(prefix="zensim-resim-") as folder:
-        reader = RecordingReader(path)
-        for file in reader.unclosed:
-            print_note("resim", f"{file} was never closed, and is read in whole")
+        reader = open_recording("resim", path)
         run = Resimulation(Path(folder), changes)
         with closing(run):
             last = LogTimes(0, 0)

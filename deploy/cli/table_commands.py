@@ -7,6 +7,7 @@ from typing import Annotated, get_args
 import msgspec
 import typer
 
+from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import JsonOption, flag, parse_choice
@@ -14,7 +15,6 @@ from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.message_tables import read_tables
-from zensim.recording.recording_reader import RecordingReader
 from zensim.recording.table_files import (
     MissingDatasetExtra,
     TableFacts,
@@ -68,7 +68,7 @@ def export_command(given: TableOptions) -> None:
     with exit_on_failure("bag export", MissingDatasetExtra):
         table_format = parse_choice("--to", given.table_format, FORMATS)
         find_writer(table_format)  # before the recording is read
-        reader = RecordingReader(given.path)
+        reader = open_recording("bag", given.path)
         selection = TopicSelection(topics=tuple(given.topics or ()), wants_all=not given.topics)
         chosen = TopicFilter(selection)
         start_ns, end_ns = find_log_span(reader, given.start_offset, given.duration)
@@ -84,6 +84,7 @@ def export_command(given: TableOptions) -> None:
             raise ValueError(f"no messages of these topics; the recording has {names}")
         folder = given.output or given.path.with_name(f"{given.path.stem}_{table_format}")
         facts = write_tables(tables, folder, table_format)
+    note_damage("bag", reader.damaged)
     if given.as_json:
         print_lines(msgspec.json.encode(facts).decode())
         return

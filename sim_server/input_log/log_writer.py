@@ -99,7 +99,8 @@ class InputLog:
 
     def poll(self, now_ns: int) -> None:
         """Begin or end the log with its subscribers; publish what was logged."""
-        if now_ns < self._due_ns:
+        is_reset = self.is_active and self._epoch != self._world.clock.epoch
+        if now_ns < self._due_ns and not is_reset:
             return
         self._due_ns = now_ns + PERIOD_NS
         is_wanted = self._is_wanted()
@@ -177,6 +178,7 @@ class InputLog:
         is_same = engine is self._engine
         if is_same and self._epoch == self._world.clock.epoch:
             return
+        self._due_ns = 0  # what was before is published before the clock
         if not isinstance(engine, LoggedEngine):
             self._finish()
             self._begin()

@@ -386,9 +386,13 @@ class Resimulation:
         return self.result
 
     def _note_gap(self, message: Inputs) -> None:
-        """Wait for the next start: messages are missing, or it is another log."""
-        first = self._next if message.log == self._log else 0
-        self.result.lost_messages += message.sequence - first
+        """Wait for the next start: messages are missing, or it is another log.
+
+        Those before the first that is read may be in an earlier file of the recording.
+        """
+        if self._log:
+            first = self._next if message.log == self._log else 0
+            self.result.lost_messages += message.sequence - first
         self._end_run()
 
     def _begin(self, start: LogStart) -> None:

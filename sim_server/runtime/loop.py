@@ -643,8 +643,8 @@ class ServerLoop:
             self._busy_refusals = 0
             if self._publisher.is_wanted(STATS):
                 self._publisher.publish(STATS, self.telemetry.stats())
+        self._inputs.poll(now_ns)  # before the clock, whose reset ends the file of a recorder
         self.publish_due(now_ns)
-        self._inputs.poll(now_ns)
 
     def publish_events(self, most: int | None = None) -> None:
         """Publish events, `most` of them; the others stay."""

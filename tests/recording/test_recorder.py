@@ -446,6 +446,24 @@ def test_inputs_of_two_resets_between_two_takes_are_in_the_file_of_each(
         assert encode(one, Format.MSGPACK) in payload
 
 
+def test_inputs_that_come_before_the_clock_of_their_time_are_in_its_file(
+    bus: MemoryBus, make: Make
+) -> None:
+    recorder, sink = make(topics=("sim/default/inputs",))
+    put_clock(bus, 30.0, epoch=0)
+    bus.put_message(INPUTS.key(WORLD), Inputs("log", 1, 1), Format.MSGPACK)
+    recorder.take()
+    assert sink.messages == []
+
+    put_clock(bus, 0.0, epoch=1)
+    recorder.take()
+    bus.put_message(INPUTS.key(WORLD), Inputs("log", 2, 2), Format.MSGPACK)
+    recorder.take(is_last=True)
+
+    assert sink.begins == [0]
+    assert len(sink.messages) == 2
+
+
 def put_clock(bus: MemoryBus, time_s: float, *, epoch: int) -> None:
     clock = WorldClock(time_from_ns(round(time_s * SECOND_NS)), round(time_s * 100), epoch)
     bus.put_message(CLOCK.key(WORLD), clock, Format.MSGPACK)

@@ -16,6 +16,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.schema import list_cdr_types
 from zensim.recording.message_columns import TextColumn
 from zensim.recording.message_tables import read_tables
+from zensim.recording.recording_parts import list_further_files
 from zensim.recording.recording_reader import LAST_NS, Accepts, RecordingReader
 from zensim.recording.topic_selection import TopicFilter, TopicSelection
 
@@ -103,6 +104,21 @@ class Recording:
     def is_closed(self) -> bool:
         """Whether all files were closed; of others, the last moments may be missing."""
         return not self._reader.unclosed
+
+    @property
+    def damaged(self) -> int:
+        """Number of places that could not be read so far, whose messages are left out."""
+        return self._reader.damaged
+
+    @property
+    def further_files(self) -> tuple[Path, ...]:
+        """Files of this recording that are not read, as after a reset; give their folder instead.
+
+        Raises:
+            Error: The folder cannot be read.
+        """
+        with reading(self.path):
+            return tuple(list_further_files(self.path))
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:

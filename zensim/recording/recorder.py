@@ -160,7 +160,7 @@ class Recorder:
     missing = 0
     """Approximate number of messages lost by overflows, by the gaps between stamps."""
     _has_arrivals = True
-    _has_unstamped = False
+    _has_unstamped = _is_ending = False
     _period, _taken_ns, _taken_s = 0, 0, 0.0
     _most_taken = 0
     """Messages of one key expression in the last take."""
@@ -239,6 +239,7 @@ class Recorder:
         """
         received_ns = time.time_ns()
         self._most_taken = 0
+        self._is_ending = is_last
         self._take_events()
         clock = self._take_clock(received_ns)
         is_due = self._is_period_over() or is_last
@@ -370,13 +371,17 @@ class Recorder:
     def _is_after(self, sample: Sample, reset: WorldClock) -> bool:
         """Whether the epoch of inputs, or the stamp of a message, is of the time after a reset."""
         if sample.key == self._inputs_key:
-            with suppress(MalformedPayload):
-                # More resets may follow. A server that was started again may begin at 0.
-                epoch = decode(Inputs, sample.payload, sample.encoding).epoch
-                return self._epoch != epoch >= reset.epoch
-            return False
+            # More resets may follow. A server that was started again may begin at 0.
+            return self._epoch != self._read_epoch(sample) >= reset.epoch
         stamp_ns, reset_ns = self._read_stamp(sample), ns_from_time(reset.clock)
         return stamp_ns is not None and abs(stamp_ns - reset_ns) < abs(stamp_ns - self._now_ns)
+
+    def _read_epoch(self, sample: Sample) -> int:
+        """Read the epoch of inputs; that of now if they are malformed."""
+        try:
+            return decode(Inputs, sample.payload, sample.encoding).epoch
+        except MalformedPayload:
+            return self._epoch
 
     def _read_stamp(self, sample: Sample) -> int | None:
         topic = self._table.find(sample)
@@ -429,6 +434,9 @@ class Recorder:
         latched_ns, inputs_key = 0 if by_wall else max(0, now_ns), self._inputs_key
         for sample in samples:
             if sample.key == inputs_key:
+                if self._read_epoch(sample) > self._epoch and not self._is_ending:
+                    self._early.append(sample)  # the clock of its time comes after it
+                    continue
                 self._add_requests(sample, received_ns, batch)
             if (topic := find(sample)) is None:
                 continue

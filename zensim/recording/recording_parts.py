@@ -167,6 +167,15 @@ def remove_recording(path: Path) -> None:
             path.rmdir()
 
 
+def list_further_files(path: Path) -> list[Path]:
+    """List the other files of the recording that a file is the first of; none of a folder.
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    return [] if path.is_dir() else [one for one in list_own_files(path) if one != path]
+
+
 def list_own_files(path: Path) -> Iterator[Path]:
     """List the files of the recording at a path; the first may be deleted (`keep_ns`).
 

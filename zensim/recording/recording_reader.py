@@ -96,8 +96,12 @@ class RecordedFile:
     def __init__(self, index: FileIndex, topics: Mapping[int, StoredTopic]) -> None:
         self.index = index
         self.topics = topics
-        self.damaged = index.damaged
-        """Number of places that could not be read."""
+        self._damaged: set[int] = set()
+
+    @property
+    def damaged(self) -> int:
+        """Number of places that could not be read so far."""
+        return self.index.damaged + len(self._damaged)
 
     def read_messages(
         self, place: ChunkPlace, wanted: Mapping[int, StoredTopic], span: range, first: int = 0
@@ -117,7 +121,7 @@ class RecordedFile:
         try:
             records = self._read_records(place)
         except (DamagedChunk, MalformedRecord, struct.error):
-            self.damaged += 1
+            self._damaged.add(place.at)
             return []
         found: list[Ordered] = []
         unpack, head, record_head = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, RECORD_HEAD.size

@@ -5,10 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import zensim
 from tests.recording.recordings import write_recording
 from zensim.api.recording_file import StoredValue
+from zensim.deploy.cli import bag_commands
+from zensim.recording.file_index import read_index
+from zensim.recording.mcap_records import Metadata
 
 MESSAGES = 300
 PERIOD_S = 0.02
@@ -78,6 +82,26 @@ def test_times_that_are_none_are_invalid(recording: zensim.Recording, span: dict
 def test_topic_that_is_no_text_is_invalid(recording: zensim.Recording) -> None:
     with pytest.raises(zensim.Invalid):
         recording.messages(7)  # type: ignore[arg-type]
+
+
+def test_damage_and_further_files_are_known(tmp_path: Path) -> None:
+    for name in ("run.mcap", "run_1.mcap"):
+        facts = {} if name == "run.mcap" else {"part": "1"}
+        write_recording(tmp_path / name, MESSAGES, metadata=[Metadata("zensim", facts)])
+    content = bytearray((tmp_path / "run.mcap").read_bytes())
+    place = read_index(tmp_path / "run.mcap").chunks[1]
+    content[place.at + 80 : place.at + 88] = bytes(8)
+    (tmp_path / "run.mcap").write_bytes(content)
+
+    recording = zensim.Recording(tmp_path / "run.mcap")
+
+    for _ in range(2):  # each place counts once
+        assert len(list(recording.messages())) == MESSAGES - 100
+    assert recording.damaged == 1
+    assert recording.further_files == (tmp_path / "run_1.mcap",)
+    export = ("export", str(recording.path), "*/odom", "--to", "csv", "-o", str(tmp_path / "out"))
+    notes = CliRunner().invoke(bag_commands.app, export).stderr.splitlines()
+    assert [text for text in ("run_1.mcap", "1 damaged") if not any(text in n for n in notes)] == []
 
 
 def test_damaged_attachment_is_invalid(tmp_path: Path) -> None:
