@@ -3,7 +3,7 @@
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated
@@ -71,7 +71,10 @@ KeyArgument = Annotated[
     ),
 ]
 DurationOption = Annotated[
-    float, typer.Option("--duration", metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
+    float,
+    typer.Option(
+        "--duration", min=0.0, metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C."
+    ),
 ]
 WindowOption = Annotated[
     int, typer.Option("--window", min=2, metavar="N", help="Average over the last N messages.")
@@ -204,8 +207,10 @@ def drive(
         facts = {"key": key, "linear": linear, "angular": angular}
         print_announcement("drive", text, facts, as_json=as_json)
         count = 1 if once else math.ceil(duration * rate) if duration > 0 else 0
+        end_s = time.monotonic() + duration
         try:
             publish_at_rate(publisher, encode(twist, Format.CDR), 1.0 / rate, count)
+            time.sleep(0.0 if once else max(0.0, end_s - time.monotonic()))
         finally:
             if not once:
                 publisher.send(encode(Twist(), Format.CDR))
@@ -220,9 +225,11 @@ def _make_twist(linear: float, angular: float) -> Twist:
 def publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:
     """Publish at a fixed rate; count 0 = forever."""
     start, sent = time.monotonic(), 0
-    while count == 0 or sent < count:
+    while True:
         publisher.send(payload)
         sent += 1
+        if sent == count:
+            return
         time.sleep(max(0.0, start + sent * period_s - time.monotonic()))
 
 
@@ -237,7 +244,10 @@ def echo(
     count: Annotated[
         int,
         typer.Option(
-            "--count", "-n", metavar="N", help="Exit after N messages; 0 = print until Ctrl-C."
+            *("--count", "-n"),
+            min=0,
+            metavar="N",
+            help="Exit after N messages; 0 = print until Ctrl-C.",
         ),
     ] = 0,
     once: Annotated[bool, flag("--once", help="Same as --count 1.")] = False,
@@ -318,11 +328,12 @@ def hz(given: MeasureOptions) -> None:
         arrivals.extend(now for _ in samples)
         del arrivals[: -given.window]
 
-    def report() -> None:
-        _print_rate(arrivals, as_json=given.as_json)
-
     with open_client("hz", given) as client:
-        measure_topic(client, "hz", given, receive, report)
+        measure_topic(client, "hz", given, receive, lambda: _measure_rate(arrivals))
+
+
+Report = tuple[Mapping[str, float], str]
+"""Figures, and a line with them."""
 
 
 def measure_topic(
@@ -330,35 +341,45 @@ def measure_topic(
     command: str,
     given: MeasureOptions,
     receive: Callable[[float, list[Sample]], None],
-    report: Callable[[], None],
+    measure: Callable[[], Report | None],
 ) -> None:
-    """Receive the messages of the topic of the options, and report every second of wall time.
+    """Receive the messages of the topic of the options, and print figures every second.
 
     Args:
         client: Of the world of the topic.
         command: Name of the command, for notes.
         given: Which topic, and for how long.
         receive: Called with the monotonic time [s] and the new messages.
-        report: Called every second, and at least once.
+        measure: Makes the figures after a second with messages; None if those are too few.
     """
     key = given.key.strip("/")
     reader = TopicReader(client.bus.subscribe_copying(key, QUEUE_DEPTH), keep_raw)
     end = time.monotonic() + (given.duration or math.inf)
-    report_at = min(time.monotonic() + 1.0, end)
+    report_at, has_new = min(time.monotonic() + 1.0, end), False
     for samples in _receive(client, command, key, reader):
         now = time.monotonic()
         if now > end and report_at > end:
             return
         receive(now, samples)
+        has_new |= bool(samples)
         if now >= report_at:
             report_at = now + 1.0
-            report()
+            _print_report(command, measure() if has_new else None, as_json=given.as_json)
+            has_new = False
 
 
-def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
+def _print_report(command: str, report: Report | None, *, as_json: bool) -> None:
+    if report is None:
+        print_note(command, "no new messages")
+    elif as_json:
+        print_json(report[0])
+    else:
+        print_lines(report[1])
+
+
+def _measure_rate(arrivals: list[float]) -> Report | None:
     if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two arrivals
-        print_note("hz", "no new messages")
-        return
+        return None
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]
     span_s = max(arrivals[-1] - arrivals[0], 1e-9)
     figures = {
@@ -368,10 +389,8 @@ def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
         "std_s": statistics.pstdev(gaps),
         "window": len(arrivals),
     }
-    if as_json:
-        print_json(figures)
-        return
-    print_lines(
+    line = (
         "average rate: {rate_hz:.3f}  min: {min_s:.4f}s  max: {max_s:.4f}s  "
-        "std dev: {std_s:.5f}s  window: {window}".format(**figures)
+        "std dev: {std_s:.5f}s  window: {window}"
     )
+    return figures, line.format(**figures)

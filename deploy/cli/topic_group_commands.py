@@ -15,6 +15,7 @@ from zensim.deploy.cli.topic_commands import (
     ROS_TYPES,
     KeyArgument,
     MeasureOptions,
+    Report,
     WindowOption,
     echo,
     hz,
@@ -32,6 +33,7 @@ from zensim.proto.codec.message_codec import (
     make_encoding,
     parse_schema_name,
 )
+from zensim.proto.codec.unknown_fields import describe_unknown_field
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
@@ -142,17 +144,13 @@ def bw(given: BandwidthOptions) -> None:
         arrivals.extend((now, len(sample.payload)) for sample in samples)
         del arrivals[: -given.window]
 
-    def report() -> None:
-        _print_bandwidth(arrivals, as_json=given.as_json)
-
     with open_client("topic bw", given) as client:
-        measure_topic(client, "topic bw", given, receive, report)
+        measure_topic(client, "topic bw", given, receive, lambda: _measure_bandwidth(arrivals))
 
 
-def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> None:
+def _measure_bandwidth(arrivals: list[tuple[float, int]]) -> Report | None:
     if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two arrivals
-        print_note("topic bw", "no new messages")
-        return
+        return None
     sizes = [size for _, size in arrivals]
     span_s = max(arrivals[-1][0] - arrivals[0][0], 1e-9)
     figures = {
@@ -162,10 +160,7 @@ def _print_bandwidth(arrivals: list[tuple[float, int]], *, as_json: bool) -> Non
         "max_bytes": max(sizes),
         "window": len(sizes),
     }
-    if as_json:
-        print_json(figures)
-        return
-    print_lines(
+    return figures, (
         f"{figures['bytes_per_s'] / KILO:.2f} kB/s from {len(sizes)} messages; message size: mean "
         f"{figures['mean_bytes']:.0f} B, min {min(sizes)} B, max {max(sizes)} B"
     )
@@ -192,10 +187,7 @@ def delay(given: MeasureOptions) -> None:
             delays.extend((now_ns[0] - stamp) / NANOSECONDS for stamp in stamps if now_ns)
             del delays[: -given.window]
 
-        def report() -> None:
-            _print_delays(delays, as_json=given.as_json)
-
-        measure_topic(client, "topic delay", given, receive, report)
+        measure_topic(client, "topic delay", given, receive, lambda: _measure_delays(delays))
 
 
 def read_stamp_ns(sample: Sample) -> int:
@@ -212,10 +204,9 @@ def read_stamp_ns(sample: Sample) -> int:
     return ns_from_time(header.stamp)
 
 
-def _print_delays(delays: list[float], *, as_json: bool) -> None:
+def _measure_delays(delays: list[float]) -> Report | None:
     if not delays:
-        print_note("topic delay", "no new messages")
-        return
+        return None
     figures = {
         "mean_s": statistics.fmean(delays),
         "min_s": min(delays),
@@ -223,13 +214,11 @@ def _print_delays(delays: list[float], *, as_json: bool) -> None:
         "std_s": statistics.pstdev(delays),
         "window": len(delays),
     }
-    if as_json:
-        print_json(figures)
-        return
-    print_lines(
+    line = (
         "average delay: {mean_s:.3f}  min: {min_s:.3f}s  max: {max_s:.3f}s  "
-        "std dev: {std_s:.5f}s  window: {window}".format(**figures)
+        "std dev: {std_s:.5f}s  window: {window}"
     )
+    return figures, line.format(**figures)
 
 
 @app.command(
@@ -255,7 +244,8 @@ def pub(
     ] = 1.0,
     once: Annotated[bool, flag("--once", "-1", help="Publish one message and exit.")] = False,
     times: Annotated[
-        int, typer.Option("--times", "-t", metavar="N", help="Exit after N messages; 0 = never.")
+        int,
+        typer.Option("--times", "-t", min=0, metavar="N", help="Exit after N messages; 0 = never."),
     ] = 0,
     as_json: JsonOption = False,
     server: ConnectionOptions,
@@ -300,19 +290,6 @@ def make_message(key: str, message_type: str, values: str) -> msgspec.Struct:
         message = msgspec.convert(fields, kind, strict=False)
     except (yaml.YAMLError, msgspec.ValidationError) as error:
         raise ValueError(f"{values[:80]!r} is no {kind.__name__}: {error}") from error
-    if unknown := _find_unknown_field(fields, message):
-        raise ValueError(f"{kind.__name__} has no field '{unknown}'")
+    if unknown := describe_unknown_field(kind, fields):
+        raise ValueError(f"{values[:80]!r} is no {kind.__name__}: {unknown}")
     return message
-
-
-def _find_unknown_field(fields: object, message: object, path: str = "") -> str:
-    """Find the first given field that a message lacks; msgspec ignores those."""
-    if not isinstance(fields, dict) or not isinstance(message, msgspec.Struct):
-        return ""
-    for name, value in fields.items():
-        inner = f"{path}{name}"
-        if name not in message.__struct_fields__:
-            return inner
-        if found := _find_unknown_field(value, getattr(message, name), f"{inner}."):
-            return found
-    return ""

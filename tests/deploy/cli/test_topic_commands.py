@@ -3,6 +3,7 @@
 import json
 import math
 import subprocess
+import threading
 
 import msgspec
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from tests.deploy.cli.commands import NOWHERE, assert_failed, run, run_at
 from tests.integration.processes import Server, eventually, running
 from tests.sim_server.fakes import floats
+from zensim.deploy.cli.driven_robots import wait_for_subscriber
 from zensim.deploy.cli.topic_commands import app, to_plain, to_yaml_lines
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.exit_codes import ExitCode
@@ -208,6 +210,36 @@ def test_invalid_key_is_refused(server: Server, verb: str, key: str) -> None:
     done = run_at(server, app, verb, key)
 
     assert_failed(done, ExitCode.USAGE, f"zensim {verb}: ")
+
+
+def test_hz_says_that_no_more_messages_come(server: Server) -> None:
+    publisher = server.bus.advertise("r1/imu", "")
+
+    def publish() -> None:
+        wait_for_subscriber(publisher)
+        for _ in range(3):
+            publisher.send(b"{}")
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    done = run_at(server, app, "hz", "r1/imu", "--duration", "3", "--json")
+    thread.join()
+
+    assert [json.loads(line)["window"] for line in done.out.splitlines()] == [3]
+    assert "no new messages" in done.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("drive", "r1", "0.2", "--duration", "-1"),
+        ("echo", "r1/odom", "--count", "-1"),
+        ("hz", "r1/odom", "--duration", "-1"),
+    ],
+    ids=" ".join,
+)
+def test_negative_limits_are_refused(server: Server, arguments: tuple[str, ...]) -> None:
+    assert run_at(server, app, *arguments).status == ExitCode.USAGE
 
 
 def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:

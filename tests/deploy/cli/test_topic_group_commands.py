@@ -114,7 +114,8 @@ def test_pub_drives_a_robot(driven: Server) -> None:
 @pytest.mark.parametrize(
     ("arguments", "value"),
     [
-        (("r1/cmd_vel", "geometry_msgs/msg/Twist", "{linear: {speed: 1}}"), "linear.speed"),
+        (("r1/cmd_vel", "geometry_msgs/msg/Twist", "{linear: {speed: 1}}"), "speed"),
+        (("tf", "tf2_msgs/msg/TFMessage", "{transforms: [{child: a}]}"), "child_frame_id"),
         (("r1/cmd_vel", "geometry_msgs/msg/Twist", "{linear: [}"), "linear"),
         (("r1/cmd_vel", "geometry_msgs/msg/Twist", "{linear: fast}"), "Twist"),
         (("r1/odd", "{data: 1}"), "type"),
