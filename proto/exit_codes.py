@@ -121,6 +121,21 @@ def print_failure(command: str, error: Exception) -> None:
 
 
 @contextmanager
+def exit_on_closed_pipe() -> Iterator[None]:
+    """Exit with status 0 when the reader of the output has closed it, as `| head` does.
+
+    Raises:
+        SystemExit: It has.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        # Standard output is unusable, and the interpreter flushes it at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(ExitCode.OK) from None
+
+
+@contextmanager
 def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
     """Report a failure of the body in one line on standard error, and exit.
 
@@ -132,11 +147,8 @@ def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
         SystemExit: With one of `ExitCode`.
     """
     try:
-        yield
-    except BrokenPipeError:
-        # The reader closed the pipe, as `| head` does: not a failure, but stdout is unusable.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(ExitCode.OK) from None
+        with exit_on_closed_pipe():
+            yield
     except Exception as error:
         if not isinstance(error, (*list_expected_failures(), *also)):
             raise

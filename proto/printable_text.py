@@ -57,8 +57,12 @@ def to_file_name(text: str) -> str:
 def print_lines(text: object = "", *, err: bool = False, nl: bool = True) -> None:
     """Print lines to standard output, or to standard error; every command prints through this."""
     stream = sys.stderr if err else sys.stdout
-    stream.write(printable_lines(str(text)) + ("\n" if nl else ""))
-    stream.flush()
+    try:
+        stream.write(printable_lines(str(text)) + ("\n" if nl else ""))
+        stream.flush()
+    except BrokenPipeError:
+        # With a number, click would end with status 1; see `exit_on_closed_pipe`.
+        raise BrokenPipeError from None
 
 
 class PrintableFormatter(logging.Formatter):

@@ -254,7 +254,10 @@ def main() -> None:
         print(format_help())
         sys.exit(0 if arguments else 2)
     elif "_ZENSIM_COMPLETE" in os.environ or not _run_plainly(arguments):
-        build(_find_verb(arguments, os.environ))(prog_name="zensim")
+        from zensim.proto.exit_codes import exit_on_closed_pipe
+
+        with exit_on_closed_pipe():
+            build(_find_verb(arguments, os.environ))(prog_name="zensim")
 
 
 def _run_plainly(arguments: Sequence[str]) -> bool:

@@ -452,7 +452,7 @@ class RecordProgram:
             self._session.attach,
             lambda reason: print_note("record", reason),
         )
-        self._wants_snapshot = False
+        self._wants_snapshot = self._is_absence_noted = False
         self.status = ProgramStatus()
         self._figures: RecordingFigures | None = None
         if (user_signal := getattr(signal, "SIGUSR1", None)) is not None:
@@ -512,6 +512,7 @@ class RecordProgram:
         figures = self._figures
         if figures is None:
             return
+        self._note_absence(figures)
         if as_json:
             print_lines(encode_figures(figures, self._path))
             return
@@ -521,8 +522,16 @@ class RecordProgram:
             print_note("record", f"topics of unknown types are left out: {names}")
 
     def _report(self) -> None:
+        figures = self._session.read_figures(self._recorder)
+        self._note_absence(figures)
         if not CURRENT.is_quiet:
-            print_lines(format_figures(self._session.read_figures(self._recorder)), err=True)
+            print_lines(format_figures(figures), err=True)
+
+    def _note_absence(self, figures: RecordingFigures) -> None:
+        if not (self._is_absence_noted or figures.topics or figures.held):
+            self._is_absence_noted = True
+            what_to_do = "'zensim topic list' lists topics; expressions see them with a leading '/'"
+            print_note("record", f"no message of the chosen topics has come; {what_to_do}")
 
     def _ask_for_snapshot(self, _number: int, _frame: object) -> None:
         self._wants_snapshot = True

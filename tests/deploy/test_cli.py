@@ -181,6 +181,21 @@ def test_root_options_print_the_same_with_and_without_typer(arguments: tuple[str
     assert (done.returncode, done.stdout.strip()) == (by_typer.exit_code, by_typer.stdout.strip())
 
 
+@pytest.mark.parametrize("words", ["scenario list", "config show up", "model box_bot"])
+def test_reader_that_has_read_enough_is_no_failure(words: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed:
+        done = subprocess.run(
+            [sys.executable, "-m", "zensim", *words.split()],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+
+    assert (done.returncode, done.stderr) == (ExitCode.OK, b"")
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_verb_prints_its_help(verb: str) -> None:
     done = RUNNER.invoke(build(verb), [verb, "--help"], env={"COLUMNS": "200"})

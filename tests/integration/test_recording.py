@@ -235,6 +235,15 @@ def test_recording_says_what_is_wrong(sim: api.Sim, tmp_path: Path) -> None:
     kept = run_in_process("record", "-a", "--keep-last", "10 years", *at)
     times = run_in_process("record", "-a", "--reproducible", "--log-time", "wall", *at)
 
+    absent = run_zensim(
+        *("record", "-e", "^r0/odom$", "--duration", "1", "-o", str(tmp_path / "no.mcap"), *at)
+    )
+    with pytest.raises(api.Error) as refused:
+        sim.record(path, "*/odom")
+
+    assert (absent.returncode, absent.stderr.count("record: note: ")) == (ExitCode.OK, 1)
+    assert "run.mcap" in str(refused.value)
+    assert "{" not in str(refused.value)
     assert nothing.returncode == ExitCode.USAGE
     assert exists.returncode == ExitCode.FAILED
     assert [one.returncode for one in (storage, kept, times)] == [ExitCode.USAGE] * 3

@@ -1,8 +1,11 @@
 """RecorderProcess: a recorder of a world on a server, a process of its own."""
 
 import threading
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
+
+import msgspec
 
 from zensim.api.api_errors import Error, Timeout
 from zensim.api.program_keeper import ProgramOutput
@@ -52,8 +55,10 @@ class RecorderProcess(WorldRecorder):
         self._output.close()
 
     def _make_error(self, what: str) -> Error:
-        reason = ": ".join([f"'{self.path}' {what}", *list(self._output.lines)[-1:]])
-        return Error(reason, slug="no_recorder")
+        reason = next(reversed(self._output.lines), "")
+        with suppress(msgspec.DecodeError, LookupError, TypeError):
+            reason = msgspec.json.decode(reason)["error"]["message"]
+        return Error(f"'{self.path}' {what}: {reason}", slug="no_recorder")
 
     def _run(self) -> None:
         supervisor = Supervisor(lambda _program, _status: None, self._output.descriptor)
