@@ -46,6 +46,7 @@ from zensim.proto.raw_terminal import NoTerminal, RawTerminal
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
 from zensim.recording.recording_reader import RecordingReader
@@ -208,7 +209,8 @@ def replay(given: ReplayOptions) -> None:
         stop = StopFlag(is_armed=False)
         with open_replay_bus(given.connect) as bus:
             if not given.force:
-                wanted = [*names.keys.values(), names.clock_key]
+                clocks = [names.clock_key, CLOCK.key(names.world)] if given.clock else []
+                wanted = [*names.keys.values(), *clocks]
                 require_unused(bus, wanted, names.world, given.ros.domain)
             stop.arm()
             replayer = run_program(bus, given, reader, names, settings, stop)

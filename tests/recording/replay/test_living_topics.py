@@ -55,7 +55,8 @@ def test_clock_of_another_world_and_a_world_of_this_name_are_refused() -> None:
     with pytest.raises(TopicsInUse, match="clock"):
         require_unused(cast("Bus", bus), KEYS, "default", 0)
     with pytest.raises(TopicsInUse, match="running"):
-        require_unused(cast("Bus", bus), ["x/odom"], "other", 0)
+        require_unused(cast("Bus", bus), ["x/odom", "sim/other/clock"], "other", 0)
+    require_unused(cast("Bus", bus), ["x/odom"], "other", 0)
     require_unused(cast("Bus", bus), ["replay/clock", "replay/r1/odom"], "replay", 0)
 
 

@@ -163,6 +163,36 @@ def test_play_next_publishes_one_message_of_a_paused_replay(make_trial: MakeTria
     assert trial.replayer.play_next() == 0
 
 
+def test_messages_that_are_due_wait_while_it_is_paused(make_trial: MakeTrial) -> None:
+    trial = make_trial()
+    trial.run(1.0)
+    trial.wall.sleep(0.5)
+    trial.replayer.pause()
+    before = trial.replayer.published
+
+    trial.run(1.0)
+    assert trial.replayer.published == before
+    trial.replayer.play_next(2)
+    trial.run(1.0)
+
+    assert trial.replayer.published == before + 2
+    assert trial.is_clock_in_order
+    assert trial.replayer.find_position() == 1.5 * SECOND
+
+
+def test_time_goes_on_from_a_pause_at_rate_0(make_trial: MakeTrial) -> None:
+    trial = make_trial()
+    trial.run(1.0)
+    trial.wall.sleep(0.05)
+    trial.replayer.pause()
+    trial.replayer.set_rate(0.0)
+    position_ns = trial.replayer.find_position()
+
+    trial.replayer.resume()
+
+    assert trial.replayer.find_position() >= position_ns
+
+
 def test_rate_changes_from_where_it_is(make_trial: MakeTrial) -> None:
     trial = make_trial()
     trial.run(1.0)

@@ -63,7 +63,7 @@ def _list_worlds(network: "Bus", wanted: Collection[str], world: str) -> Iterato
         namespaces = {one.namespace.strip("/") for one in models.entities}
         for namespace in _find_namespaces(wanted, namespaces):
             yield f"namespace '{namespace}' is of a living robot of world '{name}'"
-        if name == world:
+        if name == world and any(key.startswith(f"sim/{world}/") for key in wanted):
             yield f"world '{name}' is running"
         elif any(key in ROOT_KEYS for key in wanted):
             yield f"'/clock' is of world '{name}', which is running"

@@ -158,7 +158,8 @@ class Replayer:
     def advance(self) -> float:
         """Publish what is due; return the wall time when the next message or clock is."""
         limit_ns = self._clock.read(self._wall())
-        for _ in range(MAX_BATCH):
+        # While it is paused, only `play_next` publishes messages, which may have equal times.
+        for _ in range(0 if self.is_paused else MAX_BATCH):
             if not (self._ahead or self._pull()):
                 self._end_pass()
                 break
@@ -180,7 +181,8 @@ class Replayer:
 
     def pause(self) -> None:
         """Stop the time."""
-        self._clock.pause(self.find_position(), self._wall())
+        self._reached_ns = self.find_position()  # at rate 0, time goes on from here
+        self._clock.pause(self._reached_ns, self._wall())
 
     def resume(self) -> None:
         """Continue."""
@@ -199,7 +201,9 @@ class Replayer:
         Raises:
             ValueError: It is not valid.
         """
-        self._clock.set_rate(rate, self.find_position(), self._wall())
+        position_ns = self.find_position()
+        self._clock.set_rate(rate, position_ns, self._wall())
+        self._reached_ns = position_ns
 
     def seek(self, position_ns: int) -> None:
         """Continue from a position, latched messages first.
@@ -227,7 +231,7 @@ class Replayer:
         done = 0
         while self.is_paused and done < count and (self._ahead or self._pull()):
             done += self._publish_first()
-            self._clock.move(self._reached_ns, self._wall())
+            self._clock.move(self.find_position(), self._wall())
         if done:
             self._publish_clock()
         return done
