@@ -1,6 +1,7 @@
 """`zensim foxglove`: serve the topics of a world to Foxglove."""
 
 import json
+import re
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -81,6 +82,12 @@ def foxglove(given: FoxgloveOptions) -> None:
     """Serve the topics of a world to Foxglove, until Ctrl-C."""
     with exit_on_failure("foxglove", MissingFoxgloveExtra):
         check_name(given.world_name, "world")
+        for origin in given.allow_origin or ():
+            if not re.fullmatch("https?://[^/]+", origin):
+                raise ValueError(
+                    f"--allow-origin '{origin[:80]}' is no origin; use SCHEME://HOST[:PORT], such "
+                    "as https://app.foxglove.dev"
+                )
         if given.layout:
             from zensim.foxglove.panel_layout import write_layout
 

@@ -218,10 +218,13 @@ def replay(given: ReplayOptions) -> None:
 
 
 def note_left_out(names: ReplayedNames) -> None:
-    """Name the topics that cannot be published."""
+    """Name the topics that cannot be published, and rules without effect."""
     if names.left_out:
         shown = ", ".join(repr(one[:60]) for one in names.left_out[:MAX_NAMES_SHOWN])
         print_note("replay", f"{len(names.left_out)} names are not of topics, left out: {shown}")
+    if names.unused_rules:
+        unused = ", ".join(f"/{one}" for one in sorted(names.unused_rules)[:MAX_NAMES_SHOWN])
+        print_note("replay", f"no chosen topic begins with {unused} of --remap")
 
 
 def make_replay_settings(given: ReplayOptions) -> ReplaySettings:

@@ -9,11 +9,10 @@ import typer
 import yaml
 from rich.table import Table
 
-from zensim.deploy.cli.command_session import open_client, print_json, print_table
+from zensim.deploy.cli.command_session import complete_topics, open_client, print_json, print_table
 from zensim.deploy.cli.driven_robots import wait_for_subscriber
 from zensim.deploy.cli.topic_commands import (
     ROS_TYPES,
-    KeyArgument,
     MeasureOptions,
     Report,
     WindowOption,
@@ -60,6 +59,12 @@ app.command("hz")(hz)
 KILO = 1e3
 
 
+TopicArgument = Annotated[
+    str,
+    typer.Argument(metavar="TOPIC", help="Name, such as r1/odom.", autocompletion=complete_topics),
+]
+
+
 class NoSuchTopic(BusError):
     """No program announces a topic."""
 
@@ -99,7 +104,7 @@ def list_command(
 
 @app.command("info")
 def info_command(
-    key: KeyArgument,
+    key: TopicArgument,
     *,
     verbose: VerboseOption = False,
     as_json: JsonOption = False,
@@ -227,7 +232,7 @@ def _measure_delays(delays: list[float]) -> Report | None:
   zensim topic pub -r 10 r1/cmd_vel '{linear: {x: 0.2}}'"""
 )
 def pub(
-    key: KeyArgument,
+    key: TopicArgument,
     message_type: Annotated[
         str,
         typer.Argument(
@@ -252,6 +257,8 @@ def pub(
 ) -> None:
     """Publish messages on a topic, once or at a rate."""
     with open_client("topic pub", server) as client:
+        if "*" in key:
+            raise ValueError(f"'{key}' is of many topics; publish on one, such as r1/cmd_vel")
         name = key.strip("/")
         message = make_message(name, message_type, values)
         if not rate > 0:

@@ -13,10 +13,12 @@ from websockets.sync.client import connect
 
 import zensim as api
 from tests.integration.processes import eventually, read_json_line, running
+from tests.integration.processes import zensim as run_zensim
 from tests.node_peers.foxglove_peer import SUBPROTOCOL, FoxglovePeer, connect_peer
 from tests.spawner.packages import make_package, robot_of
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
+from zensim.proto.exit_codes import ExitCode
 from zensim.proto.stl import stl_size
 from zensim.spawner.client.sim_client import SimClient
 
@@ -291,6 +293,11 @@ def test_admitted_origin_and_token_are_accepted(sim: api.Sim) -> None:
             connect(url.partition("/?")[0], subprotocols=["foxglove.sdk.v1"])  # type: ignore[list-item]
 
     assert refused.value.response.status_code == 401
+
+
+@pytest.mark.parametrize("origin", ["app.example", "https://app.example/", "*"])
+def test_origin_that_can_be_none_is_refused(origin: str) -> None:
+    assert run_zensim("foxglove", "--allow-origin", origin).returncode == ExitCode.USAGE
 
 
 @pytest.mark.parametrize(

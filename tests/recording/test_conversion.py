@@ -138,6 +138,8 @@ def test_what_cannot_be_converted_is_refused_and_nothing_is_written(tmp_path: Pa
         convert(source, folder, output=output)
     with pytest.raises(ValueError, match="chosen"):
         convert(source, output=output, selection=TopicSelection(topics=("/none",)))
+    with pytest.raises(ValueError, match="start"):
+        convert(source, output=output, start_ns=2_000_000_000)
     assert not output.exists()
     with pytest.raises(FileExistsError):
         convert(source, output=source)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.mcap_records import AttachedFile, Metadata
 from zensim.recording.recording_parts import PartSettings, RecordingParts
 from zensim.recording.recording_reader import (
@@ -54,10 +55,16 @@ def convert_recordings(
 
     Raises:
         OSError: A file cannot be read or written, or the output exists.
-        ValueError: No topic is chosen, a topic has two types, or recordings with resets are merged.
+        ValueError: No topic is chosen, a topic has two types, recordings with resets are merged, or
+            the start is after the end.
     """
     topics = merge_topics(readers, settings.chosen)
     require_mergeable(readers)
+    runs = [run for reader in readers for run in reader.runs]
+    length_ns = max(run.end_ns for run in runs) - min(run.start_ns for run in runs)
+    if settings.start_ns > length_ns:
+        start_s, length_s = settings.start_ns / NANOSECONDS, length_ns / NANOSECONDS
+        raise ValueError(f"the start is at {start_s:g} s, and the recording ends at {length_s:g} s")
     with staged_recording(settings.parts.path) as path:
         parts = _write_parts(readers, topics, settings, path)
     return ConversionResult(

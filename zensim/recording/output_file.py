@@ -67,7 +67,11 @@ class OutputFile:
             self._reserve = os.open(self._reserve_path, os.O_WRONLY | os.O_CREAT, 0o600)
             with suppress(PermissionError):  # Windows removes no file that is open
                 self._reserve_path.unlink()
-        _allocate(self._reserve, wanted)
+        try:
+            _allocate(self._reserve, wanted)
+        except OSError as error:
+            # The call has no name of a file.
+            raise OSError(error.errno, error.strerror, str(self._reserve_path.parent)) from error
         self._reserve_bytes = wanted
 
     def release(self) -> None:

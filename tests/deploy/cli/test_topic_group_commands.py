@@ -121,6 +121,7 @@ def test_pub_drives_a_robot(driven: Server) -> None:
         (("r1/odd", "{data: 1}"), "type"),
         (("r1/cmd_vel", "Twist"), "'Twist'"),
         (("r1/cmd_vel", "{}", "--rate", "0"), "--rate"),
+        (("*/cmd_vel", "{}"), "'*/cmd_vel'"),
     ],
     ids=str,
 )

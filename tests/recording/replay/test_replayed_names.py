@@ -71,7 +71,10 @@ def test_topics_and_names_above_them_are_renamed(
 ) -> None:
     chosen = TopicSelection(topics=("/r1/odom", "/r1/custom"))
 
-    assert list_keys(topics, NameSettings(selection=chosen, remaps=(rule,))) == wanted
+    settings = NameSettings(selection=chosen, remaps=(rule,))
+
+    assert list_keys(topics, settings) == wanted
+    assert ReplayedNames(settings, topics).unused_rules == ({"r"} if rule == "/r:=/x" else set())
 
 
 def test_namespace_stands_before_all_names_and_names_the_world(

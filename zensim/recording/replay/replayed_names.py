@@ -38,6 +38,8 @@ class ReplayedNames:
             ValueError: A rule, a name or an expression is not valid, or no topic is chosen.
         """
         self._rules = dict(map(_parse_rule, settings.remaps))
+        self.unused_rules = set(self._rules)
+        """What rules rename, if no chosen topic begins with it."""
         self._namespace = check_namespace(settings.namespace) if settings.namespace else ""
         chosen = _make_filter(settings.selection)
         listed, self.left_out = _split_names(topics)
@@ -76,6 +78,7 @@ class ReplayedNames:
         for count in range(len(parts), 0, -1):
             new = self._rules.get("/".join(parts[:count]))
             if new is not None:
+                self.unused_rules.discard("/".join(parts[:count]))
                 parts[:count] = [new]
                 break
         return "/".join(filter(None, (self._namespace, *parts)))
