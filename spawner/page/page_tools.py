@@ -234,8 +234,9 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
   .mantine-NumberInput-controls { display: none !important; }
   .mantine-NumberInput-root { min-width: 44px; }
   .mantine-NumberInput-input { padding-right: .5em !important; }
-  .mantine-Checkbox-input { border: solid transparent !important; border-width: 12px 4px !important;
-    border-radius: 22px !important; background-clip: padding-box !important; }
+  .mantine-Checkbox-input, .mantine-Checkbox-input:checked { border: solid transparent !important;
+    border-width: 12px 4px !important; border-radius: 14px / 22px !important;
+    background-clip: padding-box !important; }
   .mantine-Slider-root { padding: 14px 22px 10px !important; width: 0; min-width: 0; }
   .mantine-Slider-thumb { width: 44px !important; height: 44px !important; border: 0 !important;
     background: radial-gradient(circle, var(--mantine-primary-color-filled) 8px,

@@ -136,6 +136,11 @@ list().filter((one) => {
   return `${nameOf(one)} ${Math.round(width)} x ${Math.round(height)}`;
 })
 """
+WIDE_SWITCHES = """
+[...document.querySelectorAll(".mantine-Checkbox-input")].filter((one) => one.checkVisibility() &&
+  getComputedStyle(one).backgroundClip !== "padding-box").map((one) => `checked: ${one.checked}`)
+"""
+"""Switches that are drawn over all of their target."""
 UNREACHED = """
 list().filter((one) => !window.zensimReached.has(one)).filter((one) => {
   const tabs = one.closest("[role=tablist]");  // of which the arrow keys choose one
@@ -344,6 +349,12 @@ def test_targets_are_large_on_a_phone(phone: Tab, title: str) -> None:
     turn_to(phone, title)
 
     find_none(phone, SMALL % {"px": LEAST_TARGET_PX})
+
+
+def test_switches_are_smaller_than_their_targets_on_a_phone(phone: Tab) -> None:
+    turn_to(phone, "See")
+
+    find_none(phone, WIDE_SWITCHES)
 
 
 def test_selected_robot_is_in_sight_above_the_sheet(phone: Tab) -> None:
