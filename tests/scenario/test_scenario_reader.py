@@ -95,6 +95,10 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, yaw: {uniform: [1]}}\n",
         [(3, 46, "robots[0].yaw.uniform")],
     ),
+    "draw_that_is_never_in_range": (
+        "zensim: 1\nend: {at: {normal: [-9, 1]}}\n",
+        [(2, 20, "end.at.normal")],
+    ),
     "unknown_draw": (
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, yaw: {gamma: [1, 2]}}\n",
         [(3, 36, "robots[0].yaw")],
@@ -319,6 +323,21 @@ def test_normal_draws_have_mean_and_deviation() -> None:
     assert mean == pytest.approx(5.0, abs=0.1)
     deviation = (sum((one - mean) ** 2 for one in drawn) / len(drawn)) ** 0.5
     assert deviation == pytest.approx(2.0, abs=0.1)
+
+
+def test_normal_draws_beyond_the_range_of_the_key_are_repeated(tmp_path: Path) -> None:
+    patrol = "behaviours:\n  - {name: b, robots: cart*, do: waypoints, points: [[3, 0]], speed: "
+    text = HEAD.replace("3}", "100}") + patrol + "{normal: [0, 0.3]}}\n"
+
+    scenario = read(tmp_path, text)
+
+    robots = scenario.robot_names
+    found = [msgspec.structs.asdict(scenario.resolve_behaviour(0, one))["speed"] for one in robots]
+    free = Draw("normal", (0.0, 0.3))
+    first = [free.draw(0, "behaviours.b.speed", one) for one in robots]
+    assert min(found) > 0.0 > min(first)
+    assert len(set(found)) == len(robots)
+    assert all(one == old for one, old in zip(found, first, strict=True) if old > 0.0)
 
 
 def test_choices_are_drawn_alike() -> None:

@@ -23,6 +23,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Factors to the SI unit, by SI unit; `1` is a number without dimension."""
 DRAW_KINDS = ("uniform", "normal", "choice")
+LEAST_SHARE = 0.01
+"""Share of a normal distribution that has to be in the range of its key."""
 _NUMBER = re.compile(r"([-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9].*)?")
 
 
@@ -77,18 +79,38 @@ class Draw(msgspec.Struct, frozen=True):
     kind: str
     """One of `DRAW_KINDS`."""
     values: tuple[float, ...]
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    """Smallest and largest number; normal ones beyond are drawn again."""
+
+    @property
+    def share(self) -> float:
+        """Share of a normal distribution that is within the limits."""
+        (low, high), (mean, deviation) = self.limits, self.values
+        if deviation == 0.0:
+            return float(low <= mean <= high)
+        below, within = (math.erf((x - mean) / deviation / math.sqrt(2.0)) for x in (low, high))
+        return (within - below) / 2.0
 
     def draw(self, seed: int, path: str, robot: str = "") -> float:
         """Draw the number of a key for a robot; equal arguments give the same number."""
-        first, second = make_uniforms(seed, path, robot)
+        if self.kind == "normal":
+            return self._draw_normal(seed, path, robot)
+        first, _ = make_uniforms(seed, path, robot)
         if self.kind == "uniform":
             low, high = self.values
             return low + first * (high - low)
-        if self.kind == "normal":
-            mean, deviation = self.values
-            radius = math.sqrt(-2.0 * math.log(1.0 - first))
-            return mean + deviation * radius * math.cos(2.0 * math.pi * second)
         return self.values[min(int(first * len(self.values)), len(self.values) - 1)]
+
+    def _draw_normal(self, seed: int, *key: str) -> float:
+        """Draw until it is within the limits; files have a `share` of `LEAST_SHARE` or more."""
+        (low, high), (mean, deviation) = self.limits, self.values
+        found = math.nan
+        while not low <= found <= high:
+            first, second = make_uniforms(seed, *key)
+            radius = math.sqrt(-2.0 * math.log(1.0 - first))
+            found = mean + deviation * radius * math.cos(2.0 * math.pi * second)
+            key = (*key, "again")
+        return found
 
 
 MAY_HAVE_DRAWS = (dict, list, Draw)

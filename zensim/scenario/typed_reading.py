@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 
 from msgspec import inspect
 
-from zensim.scenario.quantities import DRAW_KINDS, Draw, PlainValue, list_units, parse_quantity
+from zensim.scenario.quantities import (
+    DRAW_KINDS,
+    LEAST_SHARE,
+    Draw,
+    PlainValue,
+    list_units,
+    parse_quantity,
+)
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioNode
 
 MAX_LISTED = 24
@@ -135,17 +142,11 @@ class TypedReader:
     ) -> PlainValue:
         if kind.ge is kind.gt is kind.le is None:
             return number
-        limits = []
-        if kind.ge is not None and number < kind.ge:
-            limits.append(f">= {kind.ge:g}")
-        if kind.gt is not None and number <= kind.gt:
-            limits.append(f"> {kind.gt:g}")
-        if kind.le is not None and number > kind.le:
-            limits.append(f"<= {kind.le:g}")
-        if limits:
-            self.refuse(node.place, path, f"{_show(node)} is out of range; {' and '.join(limits)}")
-            return None
-        return number
+        low, high = _find_limits(kind)
+        if low <= number <= high:
+            return number
+        self.refuse(node.place, path, f"{_show(node)} is out of range; {_tell_range(kind)}")
+        return None
 
     def _read_draw(
         self, node: ScenarioNode, kind: inspect.FloatType, path: str, unit: str
@@ -170,8 +171,15 @@ class TypedReader:
             return None
         if None in values:
             return None
+        draw = Draw(word, tuple(values), _find_limits(kind))
+        if word == "normal" and draw.share < LEAST_SHARE:
+            mistake = (
+                f"next to no number of it is in the range {_tell_range(kind)}; change the mean"
+            )
+            self.refuse(listed.place, here, mistake)
+            return None
         self.has_draws = True
-        return Draw(word, tuple(values))
+        return draw
 
     def _read_choice(
         self, node: ScenarioNode, kind: inspect.LiteralType, path: str, _unit: str
@@ -342,6 +350,17 @@ def _find_number(node: ScenarioNode, unit: str) -> float | None:
         return float(node.value)
     except OverflowError:
         return math.inf
+
+
+def _find_limits(kind: inspect.FloatType | inspect.IntType) -> tuple[float, float]:
+    """Find the smallest and the largest number of a type."""
+    above = -math.inf if kind.gt is None else math.nextafter(kind.gt, math.inf)
+    return above if kind.ge is None else kind.ge, math.inf if kind.le is None else kind.le
+
+
+def _tell_range(kind: inspect.FloatType | inspect.IntType) -> str:
+    words = ((">=", kind.ge), (">", kind.gt), ("<=", kind.le))
+    return " and ".join(f"{word} {limit:g}" for word, limit in words if limit is not None)
 
 
 def _tell_units(unit: str) -> str:
