@@ -95,6 +95,14 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, yaw: {uniform: [1]}}\n",
         [(3, 46, "robots[0].yaw.uniform")],
     ),
+    "highest_below_lowest": (
+        "zensim: 1\nrobots:\n  - {name: a, model: box_bot, yaw: {uniform: [2, 1]}}\n",
+        [(3, 46, "robots[0].yaw.uniform")],
+    ),
+    "negative_deviation": (
+        "zensim: 1\nrobots:\n  - {name: a, model: box_bot, yaw: {normal: [0, -1]}}\n",
+        [(3, 45, "robots[0].yaw.normal")],
+    ),
     "draw_that_is_never_in_range": (
         "zensim: 1\nend: {at: {normal: [-9, 1]}}\n",
         [(2, 20, "end.at.normal")],

@@ -135,6 +135,10 @@ def test_more_samples_keep_the_first_ones(tmp_path: Path) -> None:
             "vary.random.robots.cart.count",
         ),
         (
+            "{random: {samples: 3, robots.cart.yaw: {normal: [0, -1]}}}",
+            "vary.random.robots.cart.yaw",
+        ),
+        (
             "{random: {samples: 3, robots.cart.yaw: {uniform: [{uniform: [0, 1]}, 2]}}}",
             "vary.random.robots.cart.yaw",
         ),

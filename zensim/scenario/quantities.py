@@ -3,7 +3,7 @@
 import hashlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -23,6 +23,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Factors to the SI unit, by SI unit; `1` is a number without dimension."""
 DRAW_KINDS = ("uniform", "normal", "choice")
+PAIRS: Mapping[str, str] = {"uniform": "[lowest, highest]", "normal": "[mean, deviation]"}
+"""Kinds of draws with two numbers."""
 LEAST_SHARE = 0.01
 """Share of a normal distribution that has to be in the range of its key."""
 _NUMBER = re.compile(r"([-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9].*)?")
@@ -111,6 +113,13 @@ class Draw(msgspec.Struct, frozen=True):
             found = mean + deviation * radius * math.cos(2.0 * math.pi * second)
             key = (*key, "again")
         return found
+
+
+def can_draw(kind: str, values: Sequence[float]) -> bool:
+    """Whether a kind of draw can draw from its numbers."""
+    if kind == "uniform":
+        return values[0] <= values[1]
+    return kind != "normal" or values[1] >= 0.0
 
 
 MAY_HAVE_DRAWS = (dict, list, Draw)

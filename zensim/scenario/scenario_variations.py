@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from zensim.scenario.quantities import DRAW_KINDS, Draw, PlainValue, make_uniforms
+from zensim.scenario.quantities import DRAW_KINDS, PAIRS, Draw, PlainValue, can_draw, make_uniforms
 from zensim.scenario.scenario_format import ScenarioFormat
 from zensim.scenario.scenario_nodes import Issue, Place, ScenarioNode, name_of
 from zensim.scenario.scenario_sources import split_path
@@ -20,7 +20,6 @@ WORDS = (*COUNTS, "random", "list")
 FIXED = ("zensim", "include", "vary")
 """Keys that cannot vary."""
 RANGE_KEYS = {"from", "to", "steps"}
-PAIRS = {"uniform": "[lowest, highest]", "normal": "[mean, deviation]"}
 MAX_RUNS = 100_000
 DIGITS = 12
 """Significant digits of the values of a range."""
@@ -310,10 +309,7 @@ def _is_number(value: PlainValue) -> bool:
 
 def _can_draw(kind: str, values: Sequence[PlainValue]) -> bool:
     """Whether a kind of draw can draw from its values."""
-    if kind not in PAIRS:
-        return True
-    first, second = values
-    return _is_number(first) and _is_number(second) and (kind != "uniform" or first <= second)
+    return kind not in PAIRS or (all(map(_is_number, values)) and can_draw(kind, values))
 
 
 def _write_draws(value: PlainValue) -> PlainValue:

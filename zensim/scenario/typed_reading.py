@@ -12,8 +12,10 @@ from msgspec import inspect
 from zensim.scenario.quantities import (
     DRAW_KINDS,
     LEAST_SHARE,
+    PAIRS,
     Draw,
     PlainValue,
+    can_draw,
     list_units,
     parse_quantity,
 )
@@ -164,12 +166,12 @@ class TypedReader:
             for index, one in enumerate(listed.elements)
         ]
         if not values or (word != "choice" and len(values) != PAIR):
-            form = "[lowest, highest]" if word == "uniform" else "[mean, deviation]"
-            self.refuse(
-                listed.place, here, f"needs {form if word != 'choice' else 'a list of numbers'}"
-            )
+            self.refuse(listed.place, here, f"needs {PAIRS.get(word, 'a list of numbers')}")
             return None
         if None in values:
+            return None
+        if not can_draw(word, values):
+            self.refuse(listed.place, here, f"needs two numbers, {PAIRS[word]}")
             return None
         draw = Draw(word, tuple(values), _find_limits(kind))
         if word == "normal" and draw.share < LEAST_SHARE:
