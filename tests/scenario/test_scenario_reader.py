@@ -166,6 +166,17 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         HEAD + "checks:\n  - {name: c, that: speed, below: 1, after: f, within: 1}\n",
         [(5, 45, "checks[0].after")],
     ),
+    "check_of_itself": (
+        HEAD + "checks:\n  - {name: c, that: all_of, checks: [c]}\n",
+        [(5, 37, "checks[0].checks")],
+    ),
+    "checks_of_each_other": (
+        HEAD
+        + "checks:\n  - {name: c, that: speed, below: 1}\n"
+        + "  - {name: d, that: all_of, checks: [c, e]}\n"
+        + "  - {name: e, that: any_of, checks: [d]}\n",
+        [(6, 37, "checks[1].checks")],
+    ),
     "unknown_check_at_the_end": (
         HEAD + "end: {when: {all: [nope]}}\n",
         [(4, 20, "end.when.all[0]")],

@@ -57,6 +57,19 @@ def test_checks_pass_and_fail_with_their_margins(tmp_path: Path) -> None:
     assert report.checks[1].place.endswith("run.scenario.yaml:8")
 
 
+def test_combined_checks_combine_later_ones_at_the_same_step(tmp_path: Path) -> None:
+    checks = (
+        "checks:\n  - {name: top, that: any_of, checks: [middle]}\n"
+        "  - {name: middle, that: all_of, checks: [far]}\n"
+        "  - {name: far, robots: r0, that: outside, polygon: [[0, -1], [1, -1], [1, 1]]}\n"
+    )
+
+    report = run(read(tmp_path, AHEAD + checks + "end: {at: 1}\n"))
+
+    assert [check.name for check in report.checks] == ["top", "middle", "far"]
+    assert len({check.margin for check in report.checks}) == 1
+
+
 def test_equal_runs_end_in_equal_states(tmp_path: Path) -> None:
     text = (
         "behaviours:\n  - {name: walk, robots: r*, do: random_walk, speed: {uniform: [0.1, 0.3]}}\n"

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -55,6 +56,7 @@ class ReferenceCheck:
             self._check_fault(f"faults[{index}]", entry)
         for index, entry in self._list_entries("checks"):
             self._check_check(f"checks[{index}]", entry)
+        self._check_cycles()
         self._check_end()
         self._check_record()
         self._check_variations()
@@ -227,8 +229,6 @@ class ReferenceCheck:
             self._require(f"{path}.{key}", entry.get(key), events, "fault or behaviour")
         for index, name in enumerate(entry.get("checks") or ()):
             self._require(f"{path}.checks[{index}]", name, self._list_names("checks"), "check")
-            if name == entry.get("name"):
-                self._refuse(f"{path}.checks[{index}]", "a check cannot contain itself")
         for mistake, at_key in _find_time_mistakes(entry):
             self._refuse(f"{path}.{at_key}" if at_key else path, mistake)
         kind = entry.get("that")
@@ -236,6 +236,21 @@ class ReferenceCheck:
             self._refuse(path, "`above` or `below` is missing: what is the limit?")
         if kind == "distance" and len(self._check_quietly(entry.get("robots", "*"))) == 1:
             self._refuse(f"{path}.robots", "a distance needs at least two robots")
+
+    def _check_cycles(self) -> None:
+        parts = {
+            str(entry.get("name")): filter(None, entry.get("checks") or ())
+            for _, entry in self._list_entries("checks")
+        }
+        try:
+            TopologicalSorter(parts).prepare()
+        except CycleError as error:
+            cycle = error.args[1][::-1]
+            index = min(
+                at for at, entry in self._list_entries("checks") if entry.get("name") in cycle
+            )
+            mistake = f"a check cannot contain itself: {' contains '.join(cycle)}"
+            self._refuse(f"checks[{index}].checks", mistake)
 
     def _check_quietly(self, selector: PlainValue) -> list[str]:
         try:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -65,8 +66,6 @@ from zensim.scenario.robot_places import ScenarioRobot
 from zensim.scenario.run_host import RunHost
 from zensim.scenario.scenario_faults import CommandFaults, FaultRun, FaultSchedule
 from zensim.scenario.scenario_format import (
-    AllOfCheck,
-    AnyOfCheck,
     Check,
     CheckOfRobots,
     NoCollisionCheck,
@@ -178,7 +177,9 @@ class ScenarioRun(ClosedOnExit):
             _spawn_group(self.sim, self.scenario, index, group)
         self.fleet = self.sim.fleet(self.scenario.robot_names)
         self.motions = make_motions(self.scenario, self._make_controller, self._cast_rays)
-        self.monitors = self._make_monitors()
+        self._updated = self._make_monitors()
+        made = {monitor.check.name: monitor for monitor in self._updated}
+        self.monitors = [made[check.name] for check in self.scenario.format.checks]
         self._start_time = self.sim.time
         self._start_wall_s = time.monotonic()
 
@@ -300,7 +301,7 @@ class ScenarioRun(ClosedOnExit):
             self.faults.active | self._acting,
             None if before is None else _forget_before(before),
         )
-        for monitor in self.monitors:
+        for monitor in self._updated:
             monitor.update(checked)
         self._before = checked
         return checked
@@ -373,18 +374,16 @@ class ScenarioRun(ClosedOnExit):
         return load_class(call, Path(self.scenario.file).parent)
 
     def _make_monitors(self) -> list[CheckMonitor]:
+        """Make the monitors in the order of their updates: what combines others is after them."""
         scenario, made = self.scenario, dict[str, CheckMonitor]()
         row = {name: number for number, name in enumerate(scenario.robot_names)}
-        # What combines others comes after them, but is reported in the order of the file.
-        numbered = sorted(
-            enumerate(scenario.format.checks),
-            key=lambda one: isinstance(one[1], AllOfCheck | AnyOfCheck),
-        )
+        numbered = {check.name: (at, check) for at, check in enumerate(scenario.format.checks)}
+        parts = {name: getattr(check, "checks", ()) for name, (_, check) in numbered.items()}
         has_outlines = any(isinstance(one, NoCollisionCheck) for one in scenario.format.checks)
         outlines = WorldOutlines()
         if has_outlines:
             outlines = WorldOutlines(self._find_outlines(), self._find_walls())
-        for index, check in numbered:
+        for index, check in map(numbered.__getitem__, TopologicalSorter(parts).static_order()):
             selector = check.robots if isinstance(check, CheckOfRobots) else "*"
             robots = scenario.select(selector) if scenario.robots else []
             place = scenario.find_place(f"checks[{index}]")
@@ -401,7 +400,7 @@ class ScenarioRun(ClosedOnExit):
                 outlines=outlines,
                 others=made,
             )
-        return [made[check.name] for check in scenario.format.checks]
+        return list(made.values())
 
     def _make_own_margin(self, check: Check, robots: Sequence[str]) -> Margin | None:
         """Make the margin of a check that needs more than states."""
