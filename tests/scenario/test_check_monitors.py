@@ -199,6 +199,14 @@ def test_hold_has_to_be_kept() -> None:
     assert judge(check, with_speeds(1, 0, 0, 0, 1, 0, 1)).verdict == "passed"
 
 
+def test_hold_that_is_not_over_at_the_end_is_named() -> None:
+    found = judge(check_of("speed", below=0.5, by=0.3, hold=9.0), with_speeds(0, 0, 0))
+
+    assert found.verdict == "failed"
+    assert "`hold` (9 s)" in found.message
+    assert math.isnan(found.time)
+
+
 def test_no_event_fails_when_it_comes() -> None:
     check = check_of("no_event", event="dies")
     event = ScenarioEvent(0.1, "dies", "start")

@@ -252,6 +252,8 @@ class CheckMonitor:
 def _describe_failure(check: Check, found: MarginResult, subject: str) -> str:
     unit = UNITS_OF_MARGINS.get(type(check), "m")
     who = f"{subject}: " if subject else ""
+    if math.isinf(found.margin) and check.hold:
+        return f"{who}no `hold` ({check.hold:g} s) was over at the end of the run"
     if math.isinf(found.margin):
         return f"{who}was never true in the time that counts"
     how = f"{-found.margin:.4g} {unit}".strip()

@@ -88,7 +88,7 @@ class Eventually(TimeOperator):
             return
         if self._best is None or self._times is None:
             self._best = np.full(len(margins), -math.inf)
-            self._times = np.full(len(margins), now)
+            self._times = np.full(len(margins), math.nan)
         self._window.append((now, np.array(margins)))
         while self._window and now - self._window[0][0] >= self._hold - TIME_TOLERANCE_S:
             value = np.min([one for _, one in self._window], axis=0)
