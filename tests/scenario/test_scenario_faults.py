@@ -89,11 +89,11 @@ def test_fault_waits_until_robots_are_near(tmp_path: Path) -> None:
 
 
 def test_kidnap_ends_at_its_own_step(tmp_path: Path) -> None:
-    fault = "{name: f, at: 0.2, robots: r0, do: kidnap, x: 1, y: 2}"
+    fault = "{name: f, at: 0.2, every: 0.5, robots: r0, do: kidnap, x: 1, y: 2}"
 
     events = events_of(FaultSchedule(scenario_of(tmp_path, fault)), 1.0)
 
-    assert events == [(0.2, "start"), (0.2, "end")]
+    assert events == [(0.2, "start"), (0.2, "end"), (0.7, "start"), (0.7, "end")]
 
 
 def test_stuck_repeats_the_last_command(tmp_path: Path) -> None:

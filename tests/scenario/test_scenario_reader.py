@@ -186,6 +186,22 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         + "  - {name: e, that: any_of, checks: [d]}\n",
         [(6, 37, "checks[1].checks")],
     ),
+    "end_without_checks": (HEAD + "end: {when: {}}\n", [(4, 13, "end.when")]),
+    "end_with_no_check": (HEAD + "end: {when: {all: []}}\n", [(4, 13, "end.when")]),
+    "follower_of_itself": (
+        HEAD + "behaviours:\n  - {name: b, robots: cart*, do: follow, target: cart0}\n",
+        [(5, 50, "behaviours[0].target")],
+    ),
+    "near_itself": (
+        HEAD
+        + "faults:\n  - {name: f, do: command_loss, robots: cart0, "
+        + "when: {near: [cart0, cart0], below: 1}}\n",
+        [(5, 61, "faults[0].when.near")],
+    ),
+    "length_of_what_is_at_once": (
+        HEAD + "faults:\n  - {name: f, do: kidnap, at: 1, for: 2, robots: cart0, x: 1, y: 2}\n",
+        [(5, 39, "faults[0].for")],
+    ),
     "unknown_check_at_the_end": (
         HEAD + "end: {when: {all: [nope]}}\n",
         [(4, 20, "end.when.all[0]")],

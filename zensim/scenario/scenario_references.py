@@ -193,6 +193,11 @@ class ReferenceCheck:
 
     def _check_behaviour(self, path: str, entry: Entry) -> None:
         self._require(f"{path}.target", entry.get("target"), self._names, "robot")
+        target, robots = entry.get("target"), entry.get("robots")
+        if target and robots and target in self._check_quietly(robots):
+            self._refuse(
+                f"{path}.target", f"`{target}` cannot follow itself; take it from `robots`"
+            )
         if word := entry.get("file"):
             self._check_file(f"{path}.file", word, has_orders=entry.get("do") == "orders")
         if entry.get("radius") == 0.0:
@@ -214,13 +219,19 @@ class ReferenceCheck:
             self._refuse(f"{path}.when", "`at` and `when` exclude each other; remove one")
         if "at" not in entry and "when" not in entry:
             self._refuse(path, "`at` or `when` is missing: when does it start?")
-        for index, name in enumerate((entry.get("when") or {}).get("near") or ()):
+        near = (entry.get("when") or {}).get("near") or ()
+        for index, name in enumerate(near):
             self._require(f"{path}.when.near[{index}]", name, self._names, "robot")
+        if near and near[0] and near[0] == near[1]:
+            self._refuse(f"{path}.when.near", f"`{near[0]}` is always near itself; name two robots")
         agents = self._list_names("agents") or ("pool",)
         self._require(f"{path}.agent", entry.get("agent"), agents, "agent")
         every, length = entry.get("every"), entry.get("for")
+        is_instant = entry.get("do") == "kidnap"
+        if is_instant and length is not None and every is None:
+            self._refuse(f"{path}.for", "has no effect on kidnap, which is over at once; remove it")
         is_fixed = isinstance(every, float) and not isinstance(length, Draw)
-        if is_fixed and (length is None or length >= every):
+        if is_fixed and not is_instant and (length is None or length >= every):
             self._refuse(f"{path}.every", "`for` must be given and shorter than `every`")
 
     def _check_check(self, path: str, entry: Entry) -> None:
@@ -260,7 +271,10 @@ class ReferenceCheck:
             return []
 
     def _check_end(self) -> None:
-        when = (self._plain.get("end") or {}).get("when") or {}
+        when = (self._plain.get("end") or {}).get("when")
+        if when is not None and all(names == [] for names in when.values()):
+            self._refuse("end.when", "names no check; write {all: [...]}, or remove it")
+        when = when or {}
         for key in ("all", "any"):
             for index, name in enumerate(when.get(key) or ()):
                 path = f"end.when.{key}[{index}]"
