@@ -71,6 +71,10 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, namespace: sim/a}\n",
         [(3, 42, "robots[0].namespace")],
     ),
+    "zero_spacing": (
+        "zensim: 1\nrobots:\n  - {name: a, model: box_bot, layout: {spacing: 0}}\n",
+        [(3, 49, "robots[0].layout.spacing")],
+    ),
     "zero_robots": (
         "zensim: 1\nrobots:\n  - {name: a, model: box_bot, count: 0}\n",
         [(3, 38, "robots[0].count")],
@@ -308,6 +312,13 @@ def test_unknown_key_gets_a_near_one_as_advice(key: str, near: str, tmp_path: Pa
     found = issues_of(tmp_path, f"zensim: 1\nrobots:\n  - {{name: a, model: box_bot, {key}: 3}}\n")
 
     assert f"`{near}`" in found[-1].message
+
+
+def test_number_in_quotes_is_called_text(tmp_path: Path) -> None:
+    (found,) = issues_of(tmp_path, "zensim: '1'\n")
+
+    assert "text" in found.message
+    assert "did you mean" not in found.message
 
 
 def test_quantities_are_converted_to_si(tmp_path: Path) -> None:

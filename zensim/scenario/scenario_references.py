@@ -7,6 +7,8 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
+import msgspec
+
 from zensim.proto.names import NAME_PATTERN, InvalidName, check_namespace
 from zensim.scenario.quantities import Draw, PlainValue
 from zensim.scenario.recorded_commands import read_commands
@@ -114,14 +116,14 @@ class ReferenceCheck:
                 self.robots += place_group(group, index, self._seed, poses)
         except ScenarioInvalid as error:
             self.issues += error.issues
-        except ValueError as error:
-            self._refuse(f"{path}.layout", str(error))
-        except (TypeError, KeyError):
+        except (msgspec.ValidationError, TypeError, KeyError):
             # A value was refused before; the names alone are needed for selectors.
             self.robots += [
                 ScenarioRobot(name, index, 0.0, 0.0)
                 for name in name_group(group, group.get("count") or 1)
             ]
+        except ValueError as error:
+            self._refuse(f"{path}.layout", str(error))
 
     def _check_model(self, path: str, word: str | None) -> None:
         if not word or word in list_builtin_models() or _is_file(self._resolve(path, word)):

@@ -375,6 +375,8 @@ def _tell_choices(
     subject: str, choices: Sequence[Any], given: PlainValue, *, is_key: bool = False
 ) -> str:
     head = subject if is_key else f"{subject} is not known"
+    if any(given == str(one) and not isinstance(one, str) for one in choices):
+        return f"{subject} is text, and a number is wanted; write it without quotes"
     words = [str(one) for one in choices if one != ""]
     near = difflib.get_close_matches(given, words, 1) if isinstance(given, str) else []
     if near:
