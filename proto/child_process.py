@@ -231,8 +231,12 @@ class FramedProcess:
         return frames
 
     def kill(self) -> None:
-        """Close the pipes and kill the process; `poll` or `wait` reaps it."""
+        """Close the pipes and kill the process and its group; `poll` or `wait` reaps it."""
         close_pipes(self._process)
+        if hasattr(os, "killpg") and self.poll() is None:
+            # macOS refuses it for a process that has just ended.
+            with suppress(PermissionError):
+                os.killpg(self.process_id, SIGKILL)
         self._process.kill()
 
     def wait(self) -> None:

@@ -154,6 +154,34 @@ def test_each_run_with_code_has_a_copy_of_its_own(tmp_path: Path, worker: Scenar
     assert list_copies() == []
 
 
+PARENT_TEAM = """import subprocess, sys, time
+from pathlib import Path
+class Go:
+    def __init__(self, sim, robots):
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        (Path(__file__).parent / "child").write_text(str(child.pid))
+    def step(self, now, state):
+        time.sleep(600)
+"""
+
+
+def test_child_of_the_authors_code_ends_with_a_run_that_is_late(
+    tmp_path: Path, worker: ScenarioWorker
+) -> None:
+    (tmp_path / "parent_team.py").write_text(PARENT_TEAM)
+    text = SHORT.replace("do: drive, v: 0.3", "do: python, call: 'parent_team:Go'")
+
+    report = worker.run(RunRequest(write_scenario(tmp_path, text=text), timeout_s=4.0))
+
+    child = int((tmp_path / "child").read_text())
+    assert report.error.startswith("timeout")
+    eventually(lambda: not psutil.pid_exists(child) or is_zombie(child), WITHIN_S, "its end")
+
+
+def is_zombie(process_id: int) -> bool:
+    return psutil.Process(process_id).status() == psutil.STATUS_ZOMBIE
+
+
 @pytest.mark.parametrize(("given", "on_miss"), [((), "wait"), (("time.on_miss=hold",), "hold")])
 def test_server_of_a_run_waits_for_slow_agents(
     tmp_path: Path, given: tuple[str, ...], on_miss: str
