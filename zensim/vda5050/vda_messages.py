@@ -238,6 +238,8 @@ def _check_details(order: Order, major: Major) -> str:
     if major == 2 and any(one.blocking_type == "SINGLE" for one in order.actions):  # noqa: PLR2004
         return "blockingType SINGLE is of 3.0; use NONE, SOFT or HARD"
     for edge in order.edges:
+        if edge.speed_limit == 0.0:
+            return f"edge {edge.edge_id!r} has a limit of 0 m/s; give more, or none"
         if edge.trajectory is not None and (problem := check_trajectory(edge.trajectory)):
             return f"trajectory of edge {edge.edge_id!r}: {problem}"
     return ""

@@ -91,6 +91,8 @@ def test_deep_values_of_parameters_are_not_read() -> None:
         ),
         order([node(0, (0, 0)), node(2, (1, 0))], [edge(1, startNodeId="n9")]),
         order([node(0, (0, 0)), node(2, (1, 0))], [edge(1, startNodeId=None)]),
+        order([node(0, (0, 0)), node(2, (1, 0))], [edge(1, maxSpeed=0)]),
+        order([node(0, (0, 0)), node(2, (1, 0))], [edge(1, maximumSpeed=0)]),
         order([node(0, (0, 0), action("wait", "a"), action("wait", "a"))], []),
         order([node(0, (0, 0), action("wait", "a", "SINGLE"))], []),
         order([node(0, (0, 0)), node(2, (1, 0))], [edge(1, trajectory=CURVE | {"degree": 2})]),
