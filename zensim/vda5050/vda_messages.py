@@ -12,6 +12,7 @@ MAX_ITEMS: Final = 1000
 PI: Final = 3.1415927
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
+Id = Annotated[str, msgspec.Meta(min_length=1, max_length=256)]
 Text = Annotated[str, msgspec.Meta(max_length=4096)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=(1 << 32) - 1)]
 Length = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
@@ -39,7 +40,7 @@ class Action(msgspec.Struct, frozen=True, rename="camel"):
     """What a vehicle is to do besides driving."""
 
     action_type: Name
-    action_id: Name
+    action_id: Id
     blocking_type: Blocking = "HARD"
     action_parameters: (
         Annotated[tuple[ActionParameter, ...], msgspec.Meta(max_length=MAX_ITEMS)] | None
@@ -92,7 +93,7 @@ class NodePosition(msgspec.Struct, frozen=True, rename="camel", omit_defaults=Tr
 class Node(msgspec.Struct, frozen=True, rename="camel", omit_defaults=True):
     """A place of an order."""
 
-    node_id: Name
+    node_id: Id
     sequence_id: Count
     released: bool
     node_position: NodePosition | None = None
@@ -143,7 +144,7 @@ class Edge(msgspec.Struct, frozen=True, rename="camel", omit_defaults=True):
 class Order(msgspec.Struct, frozen=True, rename="camel"):
     """Nodes and edges in the order in which they are traversed."""
 
-    order_id: Name
+    order_id: Id
     order_update_id: Count
     nodes: Annotated[tuple[Node, ...], msgspec.Meta(min_length=1, max_length=MAX_ITEMS)]
     edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=MAX_ITEMS)]

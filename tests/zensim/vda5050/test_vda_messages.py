@@ -57,6 +57,9 @@ def test_order_of_either_version_is_read() -> None:
         write(order([node(2 * at, (at, 0)) for at in range(2000)], [])),
         write(order([], [])),
         write(line((0, 0), (1, 0), name="o" * 300)),
+        write(line((0, 0), (1, 0), name="")),
+        write(line((0, 0), (1, 0))).replace(b'"nodeId": "n0"', b'"nodeId": ""'),
+        write(order([node(0, (0, 0), action("wait", ""))], [])),
     ],
 )
 def test_hostile_bytes_are_refused_with_one_error(payload: bytes) -> None:
