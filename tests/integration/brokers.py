@@ -84,9 +84,10 @@ class Master:
         self._client.loop_stop()
 
     def send(self, robot: str, topic: str, message: State | bytes) -> None:
-        """Publish a message."""
-        payload = message if isinstance(message, bytes) else json.dumps(message)
-        self._client.publish(f"{self._root}/{robot}/{topic}", payload)
+        """Publish a message, which is for this robot."""
+        if not isinstance(message, bytes):
+            message = json.dumps(message | {"serialNumber": robot}).encode()
+        self._client.publish(f"{self._root}/{robot}/{topic}", message)
 
     def list(self, robot: str, topic: str = "state") -> list[State]:
         """List the messages of a vehicle on a topic, oldest first."""

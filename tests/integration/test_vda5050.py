@@ -255,11 +255,11 @@ def test_unchanged_master_control_drives_vehicles(sim: api.Sim, broker: Broker) 
             for name, state in first.items():
                 given = make_way(state, 0.4, 0.8)
                 given["nodes"][1]["actions"] = [action("wait", f"{name}w", duration=0.1)]
-                peer.do("order", robot=name, order=given)
+                peer.do("order", robot=name, order=given | {"serialNumber": name})
             seen = [peer.wait("processed", partial(is_of, name)) for name in first]
             peer.wait("tracked", lambda one: one["robot"] == "r2")
             long = make_way(master.list("r2")[-1], 5.0)
-            peer.do("order", robot="r2", order=long)
+            peer.do("order", robot="r2", order=long | {"serialNumber": "r2"})
             eventually(lambda: master.list("r2")[-1]["driving"], WITHIN_S)
             peer.do("instant", robot="r2", actions=[action("cancelOrder", "gone", "NONE")])
             ended = peer.wait(

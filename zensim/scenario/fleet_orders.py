@@ -21,13 +21,6 @@ START_S: Final = 1.0
 """Time of the fleet at the first step; 0 would be a fleet without one."""
 
 
-class GivenOrder(Order, frozen=True, rename="camel"):
-    """An order of a file."""
-
-    serial_number: str = ""
-    """Robot; empty = each."""
-
-
 class NoCargo:
     """Vehicles of scenarios move no loads."""
 
@@ -51,7 +44,7 @@ def read_orders(file: Path, names: Sequence[str]) -> Mapping[str, Sequence[Order
     """
     try:
         found = msgspec.json.decode(
-            read_text_file(file, MAX_OWN_FILE_BYTES), type=GivenOrder | list[GivenOrder]
+            read_text_file(file, MAX_OWN_FILE_BYTES), type=Order | list[Order]
         )
     except msgspec.MsgspecError as error:
         raise ValueError(f"no orders of VDA 5050: {error}") from None

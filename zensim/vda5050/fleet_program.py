@@ -267,6 +267,7 @@ class FleetProgram:
 
     def _add(self, robot: EntityModel, models: GetModelsResponse) -> None:
         options, name = self._options, robot.entity
+        serial = make_serial(name)
         body = describe_vehicle(
             models.models[robot.model], self._boxes.get(robot.model, Box()), options.settings
         )
@@ -276,11 +277,11 @@ class FleetProgram:
             map_id=options.settings.map_id or options.world,
             settings=options.settings,
             cargo=self._loads,
+            serial=serial,
         )
         if (record := self._store.load(name)) is not None:
             vehicle.restore(record)
             self._loads.restore(name, record.load)
-        serial = make_serial(name)
         self._served[name], self._names[serial] = _Served(serial, body), name
         rate_hz = options.settings.visualization_hz
         shown_s = time.monotonic() + len(self._due) % 97 / 97.0 if rate_hz else float("inf")

@@ -99,6 +99,9 @@ class VehicleFacts(msgspec.Struct, frozen=True):
     map_id: str
     known_actions: Mapping[str, object]
     start_tolerance_m: float = 0.5
+    manufacturer: str = ""
+    serial: str = ""
+    """Serial number of its topics; empty = orders for any vehicle are for this one."""
 
 
 def _stops(actions: Iterable[Action]) -> bool:
@@ -111,7 +114,7 @@ def accept(progress: OrderProgress, order: Order, facts: VehicleFacts) -> OrderP
     Raises:
         Rejection: The vehicle keeps what it has.
     """
-    if problem := check_order(order, facts.major):
+    if problem := _check_receiver(order, facts) or check_order(order, facts.major):
         raise Rejection(order_errors.INVALID, problem)
     content = sha256(msgspec.json.encode((order.nodes, order.edges))).hexdigest()
     is_update = bool(progress.order_id) and order.order_id == progress.order_id
@@ -126,6 +129,16 @@ def accept(progress: OrderProgress, order: Order, facts: VehicleFacts) -> OrderP
     return msgspec.structs.replace(
         found, order_id=order.order_id, update_id=order.order_update_id, content=content
     )
+
+
+def _check_receiver(order: Order, facts: VehicleFacts) -> str:
+    for key, given, own in (
+        ("manufacturer", order.manufacturer, facts.manufacturer),
+        ("serialNumber", order.serial_number, facts.serial),
+    ):
+        if facts.serial and given not in ("", own):
+            return f"{key} {given[:80]!r} is not {own!r}, which the topic has"
+    return ""
 
 
 def _check_actions(order: Order, facts: VehicleFacts) -> None:

@@ -150,6 +150,8 @@ class Order(msgspec.Struct, frozen=True, rename="camel"):
     edges: Annotated[tuple[Edge, ...], msgspec.Meta(max_length=MAX_ITEMS)]
     header_id: Count = 0
     version: Name = ""
+    manufacturer: Name = ""
+    serial_number: Name = ""
 
     @property
     def actions(self) -> list[Action]:

@@ -108,9 +108,16 @@ class Vehicle:
     """
 
     def __init__(
-        self, name: str, *, major: Major, map_id: str, settings: FleetSettings, cargo: Cargo
+        self,
+        name: str,
+        *,
+        major: Major,
+        map_id: str,
+        settings: FleetSettings,
+        cargo: Cargo,
+        serial: str = "",
     ) -> None:
-        self.name, self.major, self.map_id = name, major, map_id
+        self.name, self.major, self.map_id, self._serial = name, major, map_id, serial
         self._settings, self._cargo = settings, cargo
         self._actions: Mapping[str, ActionSettings] = settings.all_actions
         self.errors: list[VehicleError] = []
@@ -152,7 +159,13 @@ class Vehicle:
             self._reject_payload(payload, str(error))
             return
         facts = VehicleFacts(
-            self.major, pose.position, self.map_id, self._actions, self._settings.start_tolerance_m
+            self.major,
+            pose.position,
+            self.map_id,
+            self._actions,
+            self._settings.start_tolerance_m,
+            self._settings.manufacturer,
+            self._serial,
         )
         try:
             found = accept(self.progress, order, facts)

@@ -59,7 +59,8 @@ class Loads:
 
 def make(major: Major = 2, **fields: Any) -> Vehicle:  # noqa: ANN401
     settings = FleetSettings(**fields)
-    return Vehicle("r1", major=major, map_id="default", settings=settings, cargo=Loads("box"))
+    cargo = Loads("box")
+    return Vehicle("r1", major=major, map_id="default", settings=settings, cargo=cargo, serial="r1")
 
 
 def instant(vehicle: Vehicle, name: str, number: str = "i", **parameters: object) -> str:
@@ -248,6 +249,20 @@ def test_record_outlives_a_vehicle() -> None:
 
     assert report_state(other, VehicleMotion()) == report_state(vehicle, VehicleMotion())
     assert other.progress.actions[0].left_s == 2.0
+
+
+@pytest.mark.parametrize("key", ["serialNumber", "manufacturer"])
+def test_order_for_another_vehicle_is_refused(key: str) -> None:
+    vehicle, given = make(), line((0, 0), (1, 0))
+
+    vehicle.take_order(write(given | {key: "other"}), HERE)
+
+    assert list_errors(vehicle) == [("validationError", "WARNING")]
+    assert "'other'" in vehicle.errors[0].text
+    assert repr(given[key]) in vehicle.errors[0].text
+    assert vehicle.progress.is_idle
+    vehicle.take_order(write({name: one for name, one in given.items() if name != key}), HERE)
+    assert not vehicle.progress.is_idle
 
 
 def test_accepted_order_ends_the_errors_of_others() -> None:
