@@ -373,12 +373,12 @@ class Vehicle:
             self._end_charging(charge)
 
     def _report_battery(self, battery: BatterySettings, charge: float) -> None:
-        for kind, is_so in (
-            (order_errors.LOW_BATTERY, charge < battery.low),
-            (order_errors.EMPTY_BATTERY, charge <= 0.0),
+        for kind, is_so, text in (
+            (order_errors.LOW_BATTERY, charge < battery.low, f"below {battery.low:g} %"),
+            (order_errors.EMPTY_BATTERY, charge <= 0.0, "no charge left; send startCharging"),
         ):
             if is_so:
-                self.add_error(VehicleError(kind, f"below {battery.low:g} %"))
+                self.add_error(VehicleError(kind, text))
             else:
                 self.clear_error(kind)
 

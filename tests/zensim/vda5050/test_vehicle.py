@@ -235,6 +235,9 @@ def test_empty_battery_stops_the_vehicle() -> None:
 
     assert vehicle.is_stuck
     assert ("emptyBattery", "FATAL") in list_errors(vehicle)
+    low, empty = vehicle.errors
+    assert "20 %" in low.text
+    assert "20 %" not in empty.text
 
 
 def test_record_outlives_a_vehicle() -> None:
