@@ -46,6 +46,10 @@ class Action(msgspec.Struct, frozen=True, rename="camel"):
         Annotated[tuple[ActionParameter, ...], msgspec.Meta(max_length=MAX_ITEMS)] | None
     ) = ()
 
+    def has(self, key: str) -> bool:
+        """Whether a parameter is given."""
+        return any(one.key == key for one in self.action_parameters or ())
+
     def read(self, key: str) -> str:
         """Read a parameter as a text; empty without it, or if it is no text or number."""
         for one in self.action_parameters or ():

@@ -326,8 +326,9 @@ class Vehicle:
             self._change(is_charging=True)
         if known.kind in ("charge", "trigger"):
             return UNTIL_EVENT_S
-        given = action.read_number("duration") if known.kind == "wait" else None
-        return known.duration_s if given is None else max(0.0, given)
+        if known.kind != "wait" or not action.has("duration"):
+            return known.duration_s
+        return max(0.0, action.read_number("duration") or 0.0)
 
     def _finish(self, action: Action) -> str:
         kind = self._actions.get(action.action_type, ActionSettings()).kind
@@ -338,6 +339,8 @@ class Vehicle:
             problem = self._attach(action.read("loadId"))
         elif kind == "detach":
             problem = self._detach()
+        elif kind == "wait":
+            problem = _check_duration(action)
         if problem:
             references = (("actionId", action.action_id),)
             self.add_error(VehicleError(order_errors.ACTION_FAILED, problem, references))
@@ -397,6 +400,14 @@ class Vehicle:
 def _refer(order_id: str, update_id: int, header_id: int = 0) -> tuple[tuple[str, str], ...]:
     found = (("topic", "order"), ("orderId", order_id), ("orderUpdateId", str(update_id)))
     return (*found, ("headerId", str(header_id)))
+
+
+def _check_duration(action: Action) -> str:
+    """Say what is wrong with the time of a wait; empty = nothing."""
+    given = action.read_number("duration")
+    if not action.has("duration") or (given is not None and given >= 0.0):
+        return ""
+    return f"duration {action.read('duration')[:80]!r} is no number of seconds >= 0"
 
 
 def _list_statuses(progress: OrderProgress) -> list[tuple[Status, bool]]:

@@ -139,6 +139,28 @@ def test_pick_and_drop_change_the_load() -> None:
     assert list_errors(vehicle) == [("actionError", "WARNING")]
 
 
+@pytest.mark.parametrize(
+    ("given", "status"),
+    [
+        ({}, "FINISHED"),
+        ({"duration": "2"}, "FINISHED"),
+        ({"duration": -1}, "FAILED"),
+        ({"duration": "x"}, "FAILED"),
+        ({"duration": [1]}, "FAILED"),
+    ],
+)
+def test_wait_of_no_duration_fails(given: dict[str, Any], status: str) -> None:
+    vehicle = make()
+    vehicle.take_order(write(order([node(0, (0, 0), action("wait", "a", **given))], [])), HERE)
+
+    for _ in range(3):
+        vehicle.step(2.0, 0.0, is_still=True)
+
+    (found,) = vehicle.progress.actions
+    assert found.status == status
+    assert ("duration" in found.result) == (status == "FAILED")
+
+
 def test_vehicle_is_paused_and_goes_on() -> None:
     vehicle = make()
 
