@@ -403,7 +403,7 @@ class MujocoEngine(SteppedWorld, Engine):
             raise EngineRefused("an engine with diverged or hidden bodies cannot be copied")
         copied = deepcopy(self)
         copied.wake(sorted(self._asleep))
-        return MujocoReplicas(vars(copied), self._save(), bodies, count)
+        return MujocoReplicas(copied, self._save(), bodies, count)
 
     def close(self) -> None:
         """See `Engine.close`."""

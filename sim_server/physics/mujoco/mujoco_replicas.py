@@ -65,6 +65,12 @@ class ReplicatedWorld(SteppedWorld):
         self._has_loads = True  # of the state that is copied
         self._diverged.clear()
 
+    def take(self, data: mujoco.MjData, *, is_diverged: bool) -> None:
+        """Take the state of another copy, with its contacts."""
+        mujoco.mj_copyData(self._data, self._model, data)
+        if is_diverged:
+            self._find_diverged()
+
     def note_new_modes(self) -> None:
         """Let the next step find which motors are on: their modes have changed."""
         for body in self._bodies:
@@ -101,15 +107,20 @@ class ReplicatedWorld(SteppedWorld):
 class ReplicaGroup:
     """Copies that make their steps together, each with the bits of `MujocoEngine.step`."""
 
-    def __init__(self, worlds: Sequence[ReplicatedWorld], speeds: FloatArray) -> None:
+    def __init__(self, replicas: "MujocoReplicas", part: IndexArray) -> None:
         """Prepare arrays.
 
         Args:
-            worlds: Of one model.
-            speeds: (worlds or more, degrees of freedom) their `ActuatorTargets.speeds`.
+            replicas: All copies.
+            part: Which of them make their steps together; in a row.
         """
-        self._worlds = worlds
-        self._all_speeds = speeds[: len(worlds)]
+        self._arguments = replicas, part
+        self._worlds = [replicas.worlds[at] for at in part.tolist()]
+        self._all_speeds = replicas.speeds[part[0] : part[-1] + 1]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Make the views anew."""
+        return ReplicaGroup, self._arguments
 
     def step(self) -> bool:
         """See `SteppedTogether`."""
@@ -124,20 +135,22 @@ class MujocoReplicas(EngineReplicas):
 
     Attributes:
         worlds: The copies.
+        speeds: (worlds, degrees of freedom) their `ActuatorTargets.speeds`.
     """
 
     def __init__(
-        self, shared: dict[str, Any], saved: SavedState, bodies: Sequence[int], count: int
+        self, engine: SteppedWorld, saved: SavedState, bodies: Sequence[int], count: int
     ) -> None:
         """Make the copies.
 
         Args:
-            shared: Attributes of a copied engine, which nothing else uses.
+            engine: A copied one, which nothing else uses.
             saved: Its state.
             bodies: See `Engine.replicate`.
             count: Likewise.
         """
-        self._saved = saved
+        self._arguments = engine, saved, bodies, count
+        self._saved, shared = saved, vars(engine)
         model, targets = shared["_model"], shared["_targets"]
         fallback = copy(model)
         fallback.opt.solver, fallback.opt.iterations = FALLBACK_SOLVER
@@ -147,7 +160,7 @@ class MujocoReplicas(EngineReplicas):
             ReplicatedWorld(shared, ActuatorTargets(*rows), fallback)
             for rows in zip(*stacked, strict=True)
         ]
-        self._speeds = stacked[[one.name for one in fields(targets)].index("speeds")]
+        self.speeds = stacked[[one.name for one in fields(targets)].index("speeds")]
         self.restore(range(count))
         states = [world.data for world in self.worlds]
         self._views = [data.qpos for data in states], [data.qvel for data in states]
@@ -164,14 +177,23 @@ class MujocoReplicas(EngineReplicas):
             ]
         )
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Make the views anew; take what the next steps depend on."""
+        states = [(world.data, world.is_diverged) for world in self.worlds]
+        return MujocoReplicas, self._arguments, (states, self._targets)
+
+    def __setstate__(self, state: tuple[list[tuple[mujoco.MjData, bool]], ActuatorTargets]) -> None:
+        """Put in what was copied."""
+        for world, (data, is_diverged) in zip(self.worlds, state[0], strict=True):
+            world.take(data, is_diverged=is_diverged)
+        for one in fields(self._targets):
+            getattr(self._targets, one.name)[:] = getattr(state[1], one.name)
+
     def make_groups(self, least: int) -> Sequence[SteppedTogether]:
         """See `EngineReplicas.make_groups`."""
         count = len(self.worlds)
         parts = np.array_split(np.arange(count), min(count, max(least, -(-count // GROUP_SIZE))))
-        return [
-            ReplicaGroup([self.worlds[at] for at in part.tolist()], self._speeds[part[0] :])
-            for part in parts
-        ]
+        return [ReplicaGroup(self, part) for part in parts]
 
     def read(self) -> BodyStates:
         """See `EngineReplicas.read`."""

@@ -1,6 +1,7 @@
 """Batch: copies of a world in arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -150,6 +151,7 @@ def test_restarted_world_touches_what_it_touched_at_its_start() -> None:
         batch = Batch(own, 2)
     batch.step(np.tile([0.5, 0.0, 0.0], (2, 2, 1)), control_steps=80)
     assert batch.is_touching.all()
+    assert deepcopy(batch).is_touching.all()
 
     batch.restart(np.array([True, False]))
 
@@ -168,6 +170,10 @@ def test_diverged_world_rests_until_its_restart(world: zensim.World) -> None:
     assert batch.is_diverged.tolist() == [False, True]
     assert np.isnan(batch.states[1]).all()
     assert batch.digest(0) == healthy.digest(0)
+    batch = deepcopy(batch)
+    batch.step(twists_at(3, 2))
+    healthy.step(twists_at(3, 2))
+    assert batch.is_diverged.tolist() == [False, True]
     batch.restart(batch.is_diverged)
     healthy.restart(np.array([False, True]))
     assert not batch.is_diverged.any()

@@ -1,6 +1,8 @@
 """ZensimVectorEnv: seeds, ends, and restarts of worlds."""
 
-from collections.abc import Iterator
+import pickle
+from collections.abc import Callable, Iterator
+from copy import deepcopy
 from typing import Any, Final
 
 import gymnasium
@@ -120,6 +122,38 @@ def test_seed_of_numpy_is_that_of_python(env: ZensimVectorEnv) -> None:
     single = ZensimEnv("reach")
 
     assert (single.reset(seed=drawn)[0] == single.reset(seed=5)[0]).all()
+
+
+def pass_through_pickle(env: ZensimVectorEnv) -> ZensimVectorEnv:
+    found = pickle.loads(pickle.dumps(env))
+    assert isinstance(found, ZensimVectorEnv)
+    return found
+
+
+@pytest.mark.parametrize("duplicate", [deepcopy, pass_through_pickle])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"task": "reach"},
+        {"task": "avoid", "count": 4, "spacing": 0.4, "dynamics": "full", "threads": 2},
+    ],
+    ids=["kinematic", "full"],
+)
+def test_copy_goes_on_with_the_bits_of_the_original(
+    options: dict[str, Any], duplicate: Callable[[ZensimVectorEnv], ZensimVectorEnv]
+) -> None:
+    env = ZensimVectorEnv(3, time_limit_s=2.0, rate_hz=10.0, **options)
+    env.reset(seed=1)
+    for step in range(10):
+        env.step(act(env, step))
+
+    copied = duplicate(env)
+
+    for step in range(20):
+        found, expected = copied.step(act(env, step)), env.step(act(env, step))
+        assert all((a == b).all() for a, b in zip(found[:4], expected[:4], strict=True))
+    digests = [[one.batch.digest(world) for world in range(3)] for one in (copied, env)]
+    assert digests[0] == digests[1]
 
 
 def test_environments_of_one_task_have_goals_of_their_own() -> None:
