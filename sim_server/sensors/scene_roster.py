@@ -217,6 +217,10 @@ class SceneMeshes:
         self._corners: dict[str, npt.NDArray[np.floating]] = {}
         self._files: dict[str, bytes] = {}
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the network: a copy has what was fetched."""
+        return {**self.__dict__, "_network": None}
+
     def find_corners(self, name: str) -> npt.NDArray[np.floating]:
         """Find the corners (3 f, 3) of a mesh; nothing that can be hit while it is missing."""
         return self._corners.get(name, NO_CORNERS)

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
+from zensim.api.in_process_world import World
 from zensim.envs.batch import TWIST_COLUMNS, BatchState
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
 from zensim.envs.robot_task import FleetView, RobotTask
@@ -70,7 +72,9 @@ class Episodes:
             Invalid: The task needs more robots, or the rate does not fit.
         """
         self.batch = make_batch(settings, worlds, task)
-        self._task, self._settings = task, settings
+        # A World cannot be copied, and is not needed any more.
+        given = "" if isinstance(settings.world, World) else settings.world
+        self._task, self._settings = task, msgspec.structs.replace(settings, world=given)
         robots = self.batch.shape[1]
         if robots < task.least_robots:
             raise Invalid(

@@ -136,8 +136,10 @@ def pass_through_pickle(env: ZensimVectorEnv) -> ZensimVectorEnv:
     [
         {"task": "reach"},
         {"task": "avoid", "count": 4, "spacing": 0.4, "dynamics": "full", "threads": 2},
+        {"task": "navigate"},
+        {"model": "box_bot_lidar", "sensors": ("scan", "imu"), "dynamics": "full"},
     ],
-    ids=["kinematic", "full"],
+    ids=["kinematic", "full", "navigate", "sensors"],
 )
 def test_copy_goes_on_with_the_bits_of_the_original(
     options: dict[str, Any], duplicate: Callable[[ZensimVectorEnv], ZensimVectorEnv]
@@ -243,6 +245,17 @@ def test_statistics_of_gymnasium_count_episodes() -> None:
 
     assert found[-1]["episode"]["l"].tolist() == [5, 5]
     env.close()
+
+
+def test_environment_of_a_given_world_can_be_copied() -> None:
+    with zensim.World() as world:
+        world.spawn_fleet("box_bot", count=2)
+        env = ZensimVectorEnv(2, world=world, **SHORT)
+    env.reset(seed=1)
+
+    copied = deepcopy(env)
+
+    assert (copied.step(act(env, 1))[0] == env.step(act(env, 1))[0]).all()
 
 
 def test_given_world_is_copied_with_its_sensors() -> None:
