@@ -88,14 +88,14 @@ class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):  # type: ignor
         """Make a step.
 
         Raises:
-            Invalid: A robot of `agents` has no action.
+            Invalid: A robot of `agents` has no action, or one of a wrong shape.
         """
         if missing := [name for name in self.agents if name not in actions]:
             raise Invalid(f"robot '{missing[0]}' has no action", hint="give one for all of agents")
         wanted = np.zeros((1, len(self.possible_agents), ACTION_COLUMNS))
         live = self.agents
         for name in live:
-            wanted[0, self._rows[name]] = actions[name]
+            wanted[0, self._rows[name]] = _read_action(name, actions[name])
         found = self._episodes.step(wanted)
         terminated = {name: bool(found.is_over[0, self._rows[name]]) for name in live}
         truncated = {name: bool(found.truncated[0]) and not terminated[name] for name in live}
@@ -112,3 +112,14 @@ class ZensimParallelEnv(ParallelEnv[str, Observations, Actions]):  # type: ignor
     def close(self) -> None:
         """End the threads."""
         self._episodes.close()
+
+
+def _read_action(robot: str, given: Actions) -> Actions:
+    action = np.asarray(given)
+    if action.shape != (ACTION_COLUMNS,):
+        raise Invalid(
+            f"the action of robot '{robot}' has shape {action.shape}",
+            slug="wrong_shape",
+            hint=f"use {(ACTION_COLUMNS,)}: v and w",
+        )
+    return action

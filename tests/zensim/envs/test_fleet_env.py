@@ -66,3 +66,16 @@ def test_missing_action_is_refused() -> None:
 
     with pytest.raises(zensim.Invalid):
         env.step({env.possible_agents[0]: np.zeros(2, np.float32)})
+
+
+@pytest.mark.parametrize("action", [np.array([1.0]), np.zeros((1, 2)), np.array(0.5), "ahead"])
+def test_action_of_a_wrong_shape_is_refused(action: object) -> None:
+    env = parallel_env("reach", count=2)
+    env.reset(seed=1)
+    first, second = env.agents
+
+    with pytest.raises(zensim.Invalid) as refused:
+        env.step({first: np.zeros(2, np.float32), second: action})  # type: ignore[dict-item]
+
+    assert second in str(refused.value)
+    assert env.batch.times.tolist() == [0.0]
