@@ -32,6 +32,7 @@ class BatchState:
     """State of all worlds of a batch, for a batch of the same world.
 
     Attributes:
+        start: Hash of the state in which the world was copied.
         steps: Of each world, (worlds,).
         time_ns: Time of the drives.
         replicas: See `EngineReplicas.save`.
@@ -39,6 +40,7 @@ class BatchState:
         noise_keys: Of lidars, (worlds, robots).
     """
 
+    start: str
     steps: npt.NDArray[np.int64]
     time_ns: int
     replicas: tuple[FloatArray, ...]
@@ -88,6 +90,7 @@ class Batch(ClosedOnExit):
         self._drives = BatchDrives(self._layout.models, self._layout.first_joints, worlds)
         self._sensors = BatchSensors(server, self._layout, worlds, sensors)
         self._read()
+        self._start = self.digest()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -242,12 +245,22 @@ class Batch(ClosedOnExit):
         """
         with _as_unsupported():
             replicas = self._replicas.save()
-        return BatchState(
-            self._steps.copy(), self._time_ns, replicas, self._drives.save(), self._sensors.save()
-        )
+        steps, drives = self._steps.copy(), self._drives.save()
+        return BatchState(self._start, steps, self._time_ns, replicas, drives, self._sensors.save())
 
     def load(self, state: "BatchState") -> None:
-        """Put all worlds into a state that `save` returned; raises what it raises."""
+        """Put all worlds into a state that `save` returned.
+
+        Raises:
+            Invalid: The state has another number of worlds, or is of another world.
+            Unsupported: See `save`.
+        """
+        if state.start != self._start or state.steps.shape != self._steps.shape:
+            raise Invalid(
+                f"the state of {len(state.steps)} worlds is not of this batch",
+                slug="wrong_state",
+                hint=f"use one of {len(self._steps)} copies of the same world",
+            )
         with _as_unsupported():
             self._replicas.load(state.replicas)
         self._steps[:], self._time_ns = state.steps, state.time_ns

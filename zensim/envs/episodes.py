@@ -47,11 +47,13 @@ class EpisodesState:
     """State of the episodes of all worlds.
 
     Attributes:
+        made_for: Kind of task and settings, which a state is loaded with.
         batch: Of the worlds.
         is_over, is_success: See `Outcome`.
         task: The task, and the random numbers.
     """
 
+    made_for: tuple[object, ...]
     batch: BatchState
     is_over: BoolArray
     is_success: BoolArray
@@ -85,6 +87,9 @@ class Episodes:
         self._control_steps = count_control_steps(self.batch, settings.rate_hz)
         self._scale = np.array([settings.max_speed_m_s, settings.max_turn_rad_s])
         self._limits = self._find_limits(robots)
+        numbers = (one.tobytes() for one in (self._agents, self._scale, *self._limits))
+        settled = self._control_steps, settings.time_limit_s, tuple(settings.sensors)
+        self._made_for = (type(task), *settled, *numbers)
         self._is_over = np.zeros((worlds, len(self._agents)), np.bool_)
         self._is_success = self._is_over.copy()
         self._view_before: FleetView | None = None
@@ -160,19 +165,20 @@ class Episodes:
         """Copy the state of all worlds and of the task; raises what `Batch.save` raises."""
         marks = self._is_over.copy(), self._is_success.copy()
         # The task may keep the streams: one copy of both.
-        return EpisodesState(self.batch.save(), *marks, deepcopy((self._task, self._streams)))
+        task = deepcopy((self._task, self._streams))
+        return EpisodesState(self._made_for, self.batch.save(), *marks, task)
 
     def load(self, state: "EpisodesState") -> None:
         """Put back a state that `save` returned.
 
         Raises:
-            Invalid: The state has other worlds or robots.
+            Invalid: The state is of another task, or of other settings or worlds; nothing changes.
         """
-        if state.is_over.shape != self._is_over.shape:
+        if state.made_for != self._made_for:
             raise Invalid(
-                f"the state has {state.is_over.shape} worlds and robots",
-                slug="wrong_shape",
-                hint=f"use one of {self._is_over.shape}",
+                f"the state is of {type(state.task[0]).__name__}, or of other settings",
+                slug="wrong_state",
+                hint=f"use one of {type(self._task).__name__}, with equal settings",
             )
         self.batch.load(state.batch)
         self._is_over, self._is_success = state.is_over.copy(), state.is_success.copy()

@@ -75,6 +75,37 @@ def test_a_state_of_other_worlds_is_refused() -> None:
             env.step(state, np.zeros((3, 1, 2)))
 
 
+@pytest.mark.parametrize(
+    "options", [{"task": "avoid"}, {"task": "reach", "spacing": 3.0}, {"rate_hz": 5.0}], ids=str
+)
+def test_a_state_of_other_settings_is_refused_and_changes_nothing(
+    options: dict[str, object],
+) -> None:
+    actions = draw_actions(2)
+    with FunctionalEnv(3, count=4) as env, FunctionalEnv(3, count=4, **options) as other:  # type: ignore[arg-type]
+        state, _ = env.reset(seed=1)
+        foreign, _ = other.reset(seed=1)
+        _, expected = env.step(state, actions[0])
+
+        for _ in range(2):
+            with pytest.raises(zensim.Invalid) as refused:
+                env.step(foreign, actions[0])
+
+        assert refused.value.slug == "wrong_state"
+        _, found = env.step(state, actions[0])
+        assert (found.observations == expected.observations).all()
+
+
+def test_a_state_of_an_equal_environment_is_stepped() -> None:
+    actions = draw_actions(1)[0]
+    with FunctionalEnv(3, count=4, threads=1) as env, FunctionalEnv(3, count=4) as other:
+        state, _ = env.reset(seed=1)
+
+        found = other.step(state, actions)[1]
+
+        assert (found.observations == env.step(state, actions)[1].observations).all()
+
+
 def test_full_dynamics_and_inertial_units_are_refused() -> None:
     with pytest.raises(zensim.Unsupported):
         FunctionalEnv(1, dynamics="full")
