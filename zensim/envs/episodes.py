@@ -149,10 +149,11 @@ class Episodes:
                 slug="wrong_shape",
                 hint=f"use {(*self._is_over.shape, ACTION_COLUMNS)}: worlds, robots, v and w",
             )
-        limited = np.clip(actions, -1.0, 1.0) * self._scale
         is_still = self._is_over
         if restarted is not None:
             is_still = is_still | restarted[:, None]
+        self._refuse_not_finite(actions, is_still)
+        limited = np.clip(actions, -1.0, 1.0) * self._scale
         twists = np.zeros((*self.batch.shape, TWIST_COLUMNS))
         if len(self._agents) < self.batch.shape[1]:
             driven = np.nan_to_num(self._task.drive(self._view_before))  # NaN of lost worlds
@@ -188,6 +189,17 @@ class Episodes:
     def close(self) -> None:
         """End the threads."""
         self.batch.close()
+
+    def _refuse_not_finite(self, actions: FloatArray, is_still: BoolArray) -> None:
+        is_wrong = ~(np.isfinite(actions).all(axis=-1) | is_still)
+        if is_wrong.any():
+            pairs = np.argwhere(is_wrong)[:5].tolist()
+            wrong = ", ".join(f"'{self.names[row]}' in world {world}" for world, row in pairs)
+            raise Invalid(
+                f"actions are not finite: of {wrong}",
+                slug="not_finite",
+                hint="give numbers from -1 to 1",
+            )
 
     def _judge(self, view: FleetView, restarted: BoolArray | None) -> Outcome:
         is_lost = self.batch.is_diverged

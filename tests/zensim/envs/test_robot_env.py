@@ -75,10 +75,11 @@ def test_step_before_reset_and_actions_that_are_not_finite_are_refused() -> None
     assert refused.value.slug == "not_reset"
     env.reset(seed=1)
 
-    with pytest.raises(zensim.Invalid) as refused:
-        env.step(np.array([np.nan, 0.0], np.float32))
-
-    assert refused.value.slug == "not_finite"
+    for number in (np.nan, np.inf):
+        with pytest.raises(zensim.Invalid) as refused:
+            env.step(np.array([number, 0.0], np.float32))
+        assert refused.value.slug == "not_finite"
+        assert env.batch.names[0] in str(refused.value)
 
 
 def test_several_robots_that_learn_are_refused() -> None:
