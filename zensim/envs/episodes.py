@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.api_errors import Invalid
+from zensim.api.api_errors import Closed, Invalid
 from zensim.api.in_process_world import World
 from zensim.envs.batch import TWIST_COLUMNS, BatchState
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
@@ -93,6 +93,7 @@ class Episodes:
         self._is_over = np.zeros((worlds, len(self._agents)), np.bool_)
         self._is_success = self._is_over.copy()
         self._view_before: FleetView | None = None
+        self._is_closed = False
         self._streams = WorldStreams(worlds)
 
     @property
@@ -114,7 +115,12 @@ class Episodes:
         self._streams.seed_each(seeds)
 
     def restart(self, worlds: BoolArray) -> FleetView:
-        """Start new episodes in some worlds (worlds,); return the view of all."""
+        """Start new episodes in some worlds (worlds,); return the view of all.
+
+        Raises:
+            Closed: See `close`.
+        """
+        self._refuse_closed()
         chosen = np.flatnonzero(worlds)
         seeds: dict[int, int] = {}
         if self._settings.sensors:  # noise differs by episode
@@ -138,9 +144,11 @@ class Episodes:
             restarted: Worlds (worlds,) that start new episodes instead; None = none does.
 
         Raises:
+            Closed: See `close`.
             Invalid: No episode was started, or the shape is wrong, or an action of a robot whose
                 episode goes on is not finite.
         """
+        self._refuse_closed()
         if self._view_before is None:
             raise Invalid("no episode was started", slug="not_reset", hint="call reset()")
         if actions.shape != (*self._is_over.shape, ACTION_COLUMNS):
@@ -187,8 +195,13 @@ class Episodes:
         self._view()
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads; no step and no episode follows."""
+        self._is_closed = True
         self.batch.close()
+
+    def _refuse_closed(self) -> None:
+        if self._is_closed:
+            raise Closed("this environment is closed", hint="make another one")
 
     def _refuse_not_finite(self, actions: FloatArray, is_still: BoolArray) -> None:
         is_wrong = ~(np.isfinite(actions).all(axis=-1) | is_still)

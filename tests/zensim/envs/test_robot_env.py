@@ -82,6 +82,17 @@ def test_step_before_reset_and_actions_that_are_not_finite_are_refused() -> None
         assert env.batch.names[0] in str(refused.value)
 
 
+def test_closed_environment_is_not_reset() -> None:
+    env = ZensimEnv("reach")
+    env.reset(seed=1)
+    env.close()
+
+    for call in (lambda: env.reset(seed=1), lambda: env.step(np.zeros(2, np.float32))):
+        with pytest.raises(zensim.Closed) as refused:
+            call()
+        assert "environment" in str(refused.value)
+
+
 def test_several_robots_that_learn_are_refused() -> None:
     with pytest.raises(zensim.Invalid):
         ZensimEnv("avoid", count=3)
