@@ -12,13 +12,15 @@ from zensim.api.api_errors import Closed, Invalid
 from zensim.api.in_process_world import World
 from zensim.envs.batch import TWIST_COLUMNS, BatchState
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
-from zensim.envs.robot_task import FleetView, RobotTask
-from zensim.envs.world_layout import BoolArray, FloatArray
+from zensim.envs.robot_task import FleetView, RobotTask, check_returned
+from zensim.envs.world_layout import BoolArray, FloatArray, IntArray
 from zensim.envs.world_streams import WorldStreams
 
 Observations = npt.NDArray[np.float32]
 ACTION_COLUMNS = 2
 """Forward velocity and turn, from -1 to 1."""
+JUDGED = {"rewards": "numbers", "is_success": "bool", "is_failure": "bool"}
+"""Attributes of a `Judgement`."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class Episodes:
                 f"{type(task).__name__} needs {task.least_robots} robots, not {robots}",
                 hint="set count",
             )
-        self._agents = task.choose_agents(robots)
+        self._agents = _choose_agents(task, robots)
         self._control_steps = count_control_steps(self.batch, settings.rate_hz)
         self._scale = np.array([settings.max_speed_m_s, settings.max_turn_rad_s])
         self._limits = self._find_limits(robots)
@@ -164,8 +166,10 @@ class Episodes:
         limited = np.clip(actions, -1.0, 1.0) * self._scale
         twists = np.zeros((*self.batch.shape, TWIST_COLUMNS))
         if len(self._agents) < self.batch.shape[1]:
-            driven = np.nan_to_num(self._task.drive(self._view_before))  # NaN of lost worlds
-            twists[..., (0, 2)] = driven
+            driven = self._task.drive(self._view_before)
+            shape = (*self.batch.shape, ACTION_COLUMNS)
+            check_returned(self._task, "drive()", driven, shape, live=False)
+            twists[..., (0, 2)] = np.nan_to_num(driven)  # NaN of lost worlds
         twists[:, self._agents, ::2] = np.where(is_still[..., None], 0.0, limited)
         self.batch.step(twists, self._control_steps)
         return self._judge(self._view(), restarted)
@@ -221,6 +225,9 @@ class Episodes:
         is_live = ~self._is_over & ~is_lost[:, None]
         if restarted is not None and restarted.any():
             is_live[restarted] = False
+        for name, kind in JUDGED.items():
+            judged = getattr(judgement, name, None)
+            check_returned(self._task, f"judge().{name}", judged, is_live.shape, kind, live=is_live)
         self._is_success |= is_live & judgement.is_success
         self._is_over |= is_live & (judgement.is_success | judgement.is_failure)
         # Steps are whole nanoseconds: their sum differs from the limit.
@@ -248,6 +255,9 @@ class Episodes:
     def _observe(self, view: FleetView) -> Observations:
         with np.errstate(invalid="ignore"):  # of lost worlds
             parts = [self._task.observe(view)]
+        shape = (*self._is_over.shape, self._observed)
+        live = ~self.batch.is_diverged[:, None, None]
+        check_returned(self._task, "observe()", parts[0], shape, live=live)
         measured = {"scan": lambda: self.batch.scans, "imu": lambda: self.batch.imu}
         parts += [measured[name]()[:, self._agents] for name in self._settings.sensors]
         found = np.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0]
@@ -257,7 +267,25 @@ class Episodes:
 
     def _find_limits(self, robots: int) -> tuple[Observations, Observations]:
         bounds = self._task.list_bounds(robots)
+        check_returned(self._task, "list_bounds()", bounds, (np.size(bounds),))
+        self._observed = len(bounds)
         parts = [(-bounds, bounds)]
         parts += [self.batch.sensor_limits[name] for name in self._settings.sensors]
         low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
         return low.astype(np.float32), high.astype(np.float32)
+
+
+def _choose_agents(task: RobotTask, robots: int) -> IntArray:
+    """Find the robots that learn.
+
+    Raises:
+        Invalid: They are not different rows of robots.
+    """
+    found = task.choose_agents(robots)
+    check_returned(task, "choose_agents()", found, (np.size(found),), "whole numbers")
+    if not len(found) or sorted(set(found.tolist()) & set(range(robots))) != sorted(found.tolist()):
+        raise Invalid(
+            f"{type(task).__name__}.choose_agents() is {found[:5].tolist()}",
+            hint=f"return different numbers from 0 to {robots - 1}",
+        )
+    return found

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from zensim.api.api_errors import Invalid
 from zensim.envs.world_streams import WorldStreams
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.standard_messages import OccupancyGrid
@@ -19,6 +20,8 @@ FAR_M = 20.0
 """Limit of distances in observations."""
 FAST = 10.0
 """Limit of velocities in observations [m/s, rad/s]."""
+ARRAY_KINDS = {"numbers": "fiub", "whole numbers": "iu", "bool": "b"}
+"""Kinds of dtypes of NumPy."""
 NEIGHBOURS = 3
 NEIGHBOUR_NUMBERS = 4
 
@@ -111,6 +114,41 @@ class RobotTask(ABC):
     @abstractmethod
     def judge(self, view: FleetView) -> Judgement:
         """Judge the step that led here."""
+
+
+def check_returned(
+    task: RobotTask,
+    what: str,
+    found: object,
+    shape: tuple[int, ...],
+    kind: str = "numbers",
+    *,
+    live: BoolArray | bool = True,
+) -> None:
+    """Check an array that a method of a task returned.
+
+    Args:
+        task: Of which the name is told.
+        what: The method, and the attribute of what it returned.
+        found: The array.
+        shape: That it must have.
+        kind: One of `ARRAY_KINDS`.
+        live: Where it must not be NaN, with the dimensions of the array.
+
+    Raises:
+        Invalid: It is no such array.
+    """
+    name = f"{type(task).__name__}.{what}"
+    hint = f"return an array {shape} of {kind}"
+    if not isinstance(found, np.ndarray):
+        raise Invalid(f"{name} is {type(found).__name__}", slug="wrong_shape", hint=hint)
+    if found.shape != shape or found.dtype.kind not in ARRAY_KINDS[kind]:
+        raise Invalid(
+            f"{name} has shape {found.shape} of {found.dtype}", slug="wrong_shape", hint=hint
+        )
+    if (is_wrong := np.isnan(found) & live).any():
+        worlds = np.unique(np.nonzero(is_wrong)[0])[:5].tolist()
+        raise Invalid(f"{name} is NaN in rows {worlds}", slug="not_finite", hint="return numbers")
 
 
 def find_in_robot(poses: FloatArray, points: FloatArray) -> FloatArray:

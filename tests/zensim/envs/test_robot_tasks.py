@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import zensim
+from zensim.envs import ZensimVectorEnv
 from zensim.envs.avoidance_task import AvoidEachOther
 from zensim.envs.formation_task import FollowFormation
 from zensim.envs.reaching_task import ReachGoal
-from zensim.envs.robot_task import FleetView, RobotTask
+from zensim.envs.robot_task import FleetView, Judgement, RobotTask
 from zensim.envs.world_streams import WorldStreams
 
 Rows = list[tuple[float, float, float]]
@@ -107,3 +109,41 @@ def test_leader_drives_ahead_and_followers_learn() -> None:
 
     assert task.choose_agents(3).tolist() == [1, 2]
     assert task.drive(view(poses))[0, :, 0].tolist() == [0.25, 0.0, 0.0]
+
+
+class WrongTask(ReachGoal):
+    """Returns from one of its methods something else."""
+
+    def __init__(self, method: str, found: object) -> None:
+        super().__init__()
+        setattr(self, method, lambda _: found)
+
+
+WRONG = [
+    ("choose_agents", np.array([0, 5])),
+    ("choose_agents", np.array([0, 0])),
+    ("choose_agents", np.array([True, False])),
+    ("choose_agents", np.zeros(0, np.intp)),
+    ("list_bounds", np.ones((2, 2))),
+    ("observe", np.zeros((3, 4))),
+    ("observe", np.zeros((3, 2, 5))),
+    ("observe", [[0.0]]),
+    ("observe", np.full((3, 2, 4), np.nan)),
+    ("judge", None),
+    ("judge", Judgement(np.zeros(3), np.zeros((3, 2), np.bool_), np.zeros((3, 2), np.bool_))),
+    ("judge", Judgement(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2), np.bool_))),  # type: ignore[arg-type]
+    ("judge", Judgement(np.full((3, 2), np.nan), *[np.zeros((3, 2), np.bool_)] * 2)),
+]
+
+
+@pytest.mark.parametrize(("method", "found"), WRONG)
+def test_task_that_returns_something_else_is_named(method: str, found: object) -> None:
+    def make_step() -> None:
+        env = ZensimVectorEnv(3, task=WrongTask(method, found), count=2, threads=1)
+        env.reset(seed=1)
+        env.step(np.zeros((3, 2, 2)))
+
+    with pytest.raises(zensim.Invalid) as refused:
+        make_step()
+
+    assert f"WrongTask.{method}()" in str(refused.value)
