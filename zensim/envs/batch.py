@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Closed, Invalid, Unsupported
-from zensim.api.argument_checks import check_limits, check_range
+from zensim.api.argument_checks import check_limits, check_whole
 from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.in_process_world import World, get_server
 from zensim.envs.batch_drives import BatchDrives, SavedDrives
@@ -71,8 +71,8 @@ class Batch(ClosedOnExit):
             Unsupported: The engine is not MuJoCo, the world has several cells or kinematic
                 robots, joints are controlled, or a force or a fault acts that a copy cannot have.
         """
-        check_range("worlds", worlds, 1, MAX_WORLDS)
-        check_range("threads", threads, 1, MAX_THREADS)
+        check_whole("worlds", worlds, 1, MAX_WORLDS)
+        check_whole("threads", threads, 1, MAX_THREADS)
         server = get_server(world)
         simulated = server.world
         _refuse_passing(simulated)

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from zensim.api.api_errors import Invalid
-from zensim.api.argument_checks import check_range
+from zensim.api.argument_checks import check_range, check_whole
 from zensim.api.in_process_world import World, get_server
 from zensim.api.spawning import check_keywords
 from zensim.envs.avoidance_task import AvoidEachOther
@@ -107,14 +107,14 @@ def make_settings(given: Mapping[str, object], task: RobotTask, count: int = 1) 
     if settings.dynamics not in KINDS_OF_DYNAMICS:
         raise Invalid(f"`dynamics` '{settings.dynamics}' is unknown", hint="use kinematic or full")
     for name, least, most in (
-        ("count", 1, 1000),
         ("rate_hz", 1e-3, 1e4),
         ("time_limit_s", 1e-3, 1e9),
         ("max_speed_m_s", 1e-3, 1e3),
         ("max_turn_rad_s", 0.0, 1e3),
-        ("threads", 0, 1024),
     ):
         check_range(name, getattr(settings, name), least, most)
+    check_whole("count", settings.count, 1, 1000)
+    check_whole("threads", settings.threads, 0, 1024)
     return settings
 
 

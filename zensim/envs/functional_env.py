@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Unsupported
-from zensim.api.argument_checks import check_range
+from zensim.api.argument_checks import check_whole
 from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.envs.batch import MAX_WORLDS
 from zensim.envs.env_settings import find_task, make_settings
@@ -40,7 +40,7 @@ class FunctionalEnv(ClosedOnExit):
             Invalid: A setting is not valid.
             Unsupported: See `Batch.save`.
         """
-        check_range("worlds", worlds, 1, MAX_WORLDS)
+        check_whole("worlds", worlds, 1, MAX_WORLDS)
         own = find_task(task)
         self._episodes = Episodes(own, make_settings(options, own), worlds)
         self._everything: BoolArray = np.ones(worlds, np.bool_)

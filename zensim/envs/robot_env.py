@@ -53,10 +53,10 @@ class ZensimEnv(gymnasium.Env[Observations, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
         """Start a new episode."""
-        seed = None if seed is None else int(seed)  # Gymnasium refuses integers of NumPy
-        super().reset(seed=seed, options=options)
         if seed is not None:
             self._episodes.seed(seed, np.ones(1, np.bool_))
+            seed = int(seed)  # Gymnasium refuses integers of NumPy
+        super().reset(seed=seed, options=options)
         self._episodes.restart(np.ones(1, np.bool_))
         return self._episodes.observe()[0, 0], {}
 

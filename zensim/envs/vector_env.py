@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from zensim.api.api_errors import Invalid
-from zensim.api.argument_checks import check_range
+from zensim.api.argument_checks import check_whole
 from zensim.envs.batch import MAX_WORLDS
 from zensim.envs.env_settings import find_task, make_settings
 from zensim.envs.episodes import ACTION_COLUMNS, Episodes, Observations
@@ -65,7 +65,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
             Invalid: A setting is not valid.
             Unsupported: The worlds cannot be copied; see `Batch`.
         """
-        check_range("num_envs", num_envs, 1, MAX_WORLDS)
+        check_whole("num_envs", num_envs, 1, MAX_WORLDS)
         if autoreset_mode not in MODES:
             names = " or ".join(mode.name for mode in MODES)
             raise Invalid(f"autoreset mode {autoreset_mode}", hint=f"use {names}")
@@ -99,15 +99,15 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
             options: `reset_mask` (num_envs,) selects worlds; the others go on.
 
         Raises:
-            Invalid: The mask or the number of seeds does not fit.
+            Invalid: The mask or the number of seeds does not fit, or one is not a whole number.
         """
         chosen = self._read_mask(options or {})
         if isinstance(seed, np.integer):
             seed = int(seed)
-        if isinstance(seed, int):
-            super().reset(seed=seed)
         if seed is not None:
             self._seed(seed, chosen)
+        if isinstance(seed, int):
+            super().reset(seed=seed)
         self._episodes.restart(chosen)
         self._has_ended[chosen] = False
         self._is_new = False
@@ -158,7 +158,7 @@ class ZensimVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]
 
     def _seed(self, seed: int | Sequence[int | None], chosen: "BoolArray") -> None:
         """Seed the worlds that are chosen."""
-        if isinstance(seed, int):
+        if not isinstance(seed, Sequence | np.ndarray):
             self._episodes.seed(seed, chosen)
             return
         if len(seed) != self.num_envs:

@@ -5,11 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zensim.api.argument_checks import check_whole
 from zensim.proto.sensor_noise import draw_uniforms, draw_words
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 SEED_SHIFT = np.uint64(2)
+MAX_SEED = (1 << 128) - 1
+"""Greatest entropy that NumPy draws."""
 
 
 class WorldStreams:
@@ -22,13 +25,21 @@ class WorldStreams:
         self.seed(None, np.arange(worlds))
 
     def seed(self, seed: int | None, worlds: IntArray) -> None:
-        """Start some worlds (m,) anew: a world has the same numbers, whatever their number."""
+        """Start some worlds (m,) anew: a world has the same numbers, whatever their number.
+
+        Raises:
+            Invalid: The seed is not a whole number >= 0.
+        """
         roots = np.full(len(worlds), _make_root(seed))
         self._keys[worlds] = draw_words(roots, worlds.astype(np.uint64), 1)[:, 0]
         self._counters[worlds] = 0
 
     def seed_each(self, seeds: Sequence[int | None]) -> None:
-        """Start worlds anew, each as the first of its seed; None = a world goes on."""
+        """Start worlds anew, each as the first of its seed; None = a world goes on.
+
+        Raises:
+            Invalid: See `seed`.
+        """
         rows = [row for row, seed in enumerate(seeds) if seed is not None]
         roots = np.array([_make_root(seeds[row]) for row in rows], np.uint64)
         self._keys[rows] = draw_words(roots, 0, 1)[:, 0]
@@ -49,5 +60,7 @@ class WorldStreams:
 
 
 def _make_root(seed: int | None) -> np.uint64:
+    if seed is not None:
+        check_whole("seed", seed, 0, MAX_SEED)
     root: np.uint64 = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
     return root

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import zensim
-from zensim.envs import ReachGoal, ZensimEnv, ZensimVectorEnv
+from zensim.envs import ReachGoal, ZensimEnv, ZensimVectorEnv, parallel_env
 
 LIMIT_S = 1.0
 SHORT: Final[dict[str, Any]] = {"time_limit_s": LIMIT_S, "rate_hz": 10.0}
@@ -154,9 +154,28 @@ def test_copy_goes_on_with_the_bits_of_the_original(
     for step in range(20):
         found, expected = copied.step(act(env, step)), env.step(act(env, step))
         assert (found[0] == expected[0]).all()
-        assert (found[1] == expected[1]).all()
+        assert (found[1] == expected).all()
     digests = [[one.batch.digest(world) for world in range(3)] for one in (copied, env)]
     assert digests[0] == digests[1]
+
+
+@pytest.mark.parametrize("seed", [1.5, -1, True])
+def test_seed_that_is_no_whole_number_is_refused(seed: float) -> None:
+    single, robots, env = ZensimEnv(), parallel_env(count=2), ZensimVectorEnv(3)
+    env.reset(seed=[1, 2, 3])
+    expected, _ = env.reset()
+    env.reset(seed=[1, 2, 3])
+    calls: list[tuple[Callable[..., object], object]] = [
+        *((one.reset, seed) for one in (single, robots, env)),
+        (env.reset, [1, 2, seed]),
+    ]
+
+    for reset, given in calls:
+        with pytest.raises(zensim.Invalid) as refused:
+            reset(seed=given)
+        assert f"seed={seed}" in str(refused.value)
+
+    assert (env.reset()[0] == expected).all()
 
 
 def test_environments_of_one_task_have_goals_of_their_own() -> None:
@@ -221,15 +240,17 @@ def test_wrong_arguments_are_refused(env: ZensimVectorEnv) -> None:
         {"rate_hz": 7.0, "dynamics": "full"},
         {"dynamics": "auto"},
         {"count": 0},
+        {"count": 1.5},
+        {"threads": 1.5},
         {"task": "fly"},
         {"task": "avoid", "count": 1},
     )
     for options in wrong:
         with pytest.raises(zensim.Invalid):
             ZensimVectorEnv(1, **options)
-    for worlds in (0, 10**7):
+    for worlds in (0, 10**7, 1.5):
         with pytest.raises(zensim.Invalid):
-            ZensimVectorEnv(worlds)
+            ZensimVectorEnv(worlds)  # type: ignore[arg-type]
     with pytest.raises(TypeError):
         ZensimVectorEnv(1, robots=3)  # type: ignore[call-arg]
     with pytest.raises(zensim.Invalid):
