@@ -109,7 +109,7 @@ class ServerAccess(WorldAccess):
         self._client = f"client_{uuid.uuid4().hex[:12]}"
         self._token: LivelinessToken | None = None
         self._bond: tuple[str, LivelinessToken] | None = None
-        self._publishers: dict[str, BusPublisher] = {}
+        self._publishers: dict[tuple[str, type], BusPublisher] = {}
         self._has_feeds = False
         """Whether topics were used, whose messages must precede the end of a step."""
         self._states = read_topic(bus, SNAPSHOT.key(world), Snapshot)
@@ -301,10 +301,11 @@ class ServerAccess(WorldAccess):
         """See `WorldAccess`."""
         self._require_open()
         form = Format.MSGPACK if key.startswith("sim/") else Format.CDR
-        if key not in self._publishers:
+        kind = type(message)
+        if (key, kind) not in self._publishers:
             self._require_role(Operation.PUBLISH, key)
-            self._publishers[key] = self.bus.advertise(key, make_encoding(type(message), form))
-        self._publishers[key].send(encode(message, form))
+            self._publishers[key, kind] = self.bus.advertise(key, make_encoding(kind, form))
+        self._publishers[key, kind].send(encode(message, form))
 
     def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
         """See `WorldAccess`."""

@@ -74,6 +74,7 @@ class Topic(Generic[Message]):
     Attributes:
         key: Its key, such as `r1/scan`.
         kind: Class of its messages.
+        kinds: Classes that may be published.
         settings: Of the sensor that publishes it; None for other topics.
         is_latched: Whether late subscribers get its last message.
     """
@@ -89,6 +90,7 @@ class Topic(Generic[Message]):
     ) -> None:
         self.key = key
         self.kind = kind
+        self.kinds: tuple[type[msgspec.Struct], ...] = (kind,)
         self.settings: msgspec.Struct | None = None
         self.is_latched = False
         self._on_callback = on_callback
@@ -191,12 +193,12 @@ class Topic(Generic[Message]):
         self._on_callback()
         return callback
 
-    def put(self, message: Message) -> None:
+    def put(self, message: msgspec.Struct) -> None:
         """Publish a message."""
-        if not isinstance(message, self.kind):
+        if not isinstance(message, self.kinds):
+            names = " or ".join(kind.__name__ for kind in self.kinds)
             raise Invalid(
-                f"{self.key} takes {self.kind.__name__}, not {type(message).__name__}",
-                slug="wrong_message",
+                f"{self.key} takes {names}, not {type(message).__name__}", slug="wrong_message"
             )
         self._access.publish(self.key, message)
 

@@ -28,6 +28,7 @@ from zensim.proto.path_following import PathController, steer_each
 from zensim.proto.se3 import to_yaw
 from zensim.proto.topic_catalog import (
     CMD_VEL,
+    CONTROLLER_COMMANDS,
     FLEET_ODOMETRY,
     JOINT_COMMANDS,
     JOINT_STATES,
@@ -416,6 +417,8 @@ class WorldSession:
         )
         spec = _find_spec(key)
         topic.is_latched = spec is not None and spec.is_latched
+        if spec is not None and kind in spec.messages:
+            topic.kinds = spec.messages
         return topic
 
     def find_robot_topic(self, name: str, topic: str) -> "Topic[Any]":
@@ -424,8 +427,8 @@ class WorldSession:
         known = list_robot_topics(entry)
         if topic not in known:
             raise make_not_found(f"topic of '{name}'", topic, known)
-        key, kind = known[topic]
-        return self.find_topic(key, kind)
+        key, spec = known[topic]
+        return self.find_topic(key, spec.messages[0])
 
     def _await_sensor(self, key: str) -> None:
         """Wait until a sensor process has the subscription, so that each run has equal scans."""
@@ -501,13 +504,13 @@ def _find_spec(key: str) -> TopicSpec | None:
     return next(fitting, None)
 
 
-def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.Struct]]]:
-    """List the topics of a robot by name: key and class of messages."""
-    found: dict[str, tuple[str, type[msgspec.Struct]]] = {}
+def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, TopicSpec]]:
+    """List the topics of a robot by name below its namespace: key and topic."""
+    found: dict[str, tuple[str, TopicSpec]] = {}
     if entry.model.needs_agent:
         keys = find_topic_keys(Claim(0, entry.name, entry.namespace, entry.model))
         found |= {
-            topic.name: (key, topic.messages[0])
+            topic.name: (key, topic)
             for topic, key in (
                 (CMD_VEL, keys.cmd_vel if entry.model.drive is not None else ""),
                 (ODOM, keys.odom),
@@ -519,10 +522,16 @@ def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, type[msgspec.S
             )
             if key
         }
+        commands = [
+            f"{controller.name}/{CONTROLLER_COMMANDS.suffix}"
+            for controller in entry.model.joint_controllers
+            if not controller.follows_trajectories
+        ]
+        found |= {name: (f"{entry.namespace}/{name}", CONTROLLER_COMMANDS) for name in commands}
     for sensor in entry.model.sensors:
         for topic in sensor.topics:
             key = f"{entry.namespace}/{topic.name}"
-            found.setdefault(topic.name, (key, TOPICS[topic.topic].messages[0]))
+            found.setdefault(topic.name, (key, TOPICS[topic.topic]))
     return found
 
 

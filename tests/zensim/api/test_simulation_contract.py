@@ -15,7 +15,7 @@ import pytest
 
 import zensim
 from zensim.api.expectations import RobotExpectation
-from zensim.proto.messages.standard_messages import JointState
+from zensim.proto.messages.standard_messages import Float64MultiArray, JointState
 
 NAN, INF = math.nan, math.inf
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -579,3 +579,18 @@ def test_joints_of_an_arm_go_where_they_are_commanded(simulation: zensim.Simulat
 
     found = dict(zip(arm.joints.name, arm.joints.position, strict=True))
     assert (found["shoulder"], found["elbow"]) == pytest.approx((0.4, -0.6), abs=0.01)
+
+
+def test_joints_follow_numbers_for_the_controllers_of_an_arm(simulation: zensim.Simulation) -> None:
+    arm = simulation.spawn(EXAMPLES / "arm" / "arm_bot.urdf", name="numbers")
+
+    for _ in range(3):
+        arm.topic("joint_commands").put(Float64MultiArray(data=(0.4, -0.6)))
+        arm.topic("gripper_controller/commands").put(Float64MultiArray(data=(0.02,)))
+        simulation.run_for(1.0)
+
+    found = dict(zip(arm.joints.name, arm.joints.position, strict=True))
+    assert (found["shoulder"], found["elbow"]) == pytest.approx((0.4, -0.6), abs=0.01)
+    assert found["gripper"] == pytest.approx(0.02, abs=0.002)
+    with pytest.raises(zensim.Invalid):
+        arm.topic("gripper_controller/commands").put(JointState())
