@@ -77,6 +77,7 @@ class Topic(Generic[Message]):
         kinds: Classes that may be published.
         settings: Of the sensor that publishes it; None for other topics.
         is_latched: Whether late subscribers get its last message.
+        before_first_put: Refuses what must not be published.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class Topic(Generic[Message]):
         self.kinds: tuple[type[msgspec.Struct], ...] = (kind,)
         self.settings: msgspec.Struct | None = None
         self.is_latched = False
+        self.before_first_put: Callable[[], None] | None = None
         self._on_callback = on_callback
         self._on_subscribed = on_subscribed
         self._access = access
@@ -194,12 +196,19 @@ class Topic(Generic[Message]):
         return callback
 
     def put(self, message: msgspec.Struct) -> None:
-        """Publish a message."""
+        """Publish a message.
+
+        Raises:
+            Invalid: It has another class, or the simulation publishes this topic of a robot.
+        """
         if not isinstance(message, self.kinds):
             names = " or ".join(kind.__name__ for kind in self.kinds)
             raise Invalid(
                 f"{self.key} takes {names}, not {type(message).__name__}", slug="wrong_message"
             )
+        if self.before_first_put is not None:
+            self.before_first_put()
+            self.before_first_put = None
         self._access.publish(self.key, message)
 
     def __iter__(self) -> Iterator[Message]:

@@ -38,6 +38,7 @@ from zensim.proto.topic_catalog import (
     TF,
     TF_STATIC,
     TOPICS,
+    Participant,
     TopicSpec,
 )
 from zensim.robot_agent.topic_remapping import find_topic_keys
@@ -415,6 +416,7 @@ class WorldSession:
             on_callback=self._start_dispatch_thread,
             on_subscribed=lambda: self._await_sensor(key),
         )
+        topic.before_first_put = lambda: self._refuse_published(key)
         spec = _find_spec(key)
         topic.is_latched = spec is not None and spec.is_latched
         if spec is not None and kind in spec.messages:
@@ -429,6 +431,25 @@ class WorldSession:
             raise make_not_found(f"topic of '{name}'", topic, known)
         key, spec = known[topic]
         return self.find_topic(key, spec.messages[0])
+
+    def _refuse_published(self, key: str) -> None:
+        """Refuse to publish on a topic of a robot that the simulation publishes.
+
+        Raises:
+            Invalid: It is one.
+        """
+        for entry in self.roster().entries.values():
+            if not key.startswith(f"{entry.namespace}/"):
+                continue
+            topics = list_robot_topics(entry)
+            user = Participant.USER
+            taken = [name for name, (_, spec) in topics.items() if spec.publisher is user]
+            if any(key == own and name not in taken for name, (own, _) in topics.items()):
+                raise Invalid(
+                    f"{key} is published by the simulation",
+                    slug="not_a_command",
+                    hint=f"'{entry.name}' takes {', '.join(taken) or 'no commands'}",
+                )
 
     def _await_sensor(self, key: str) -> None:
         """Wait until a sensor process has the subscription, so that each run has equal scans."""

@@ -15,7 +15,7 @@ import pytest
 
 import zensim
 from zensim.api.expectations import RobotExpectation
-from zensim.proto.messages.standard_messages import Float64MultiArray, JointState
+from zensim.proto.messages.standard_messages import Float64MultiArray, JointState, Odometry, Twist
 
 NAN, INF = math.nan, math.inf
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -594,3 +594,20 @@ def test_joints_follow_numbers_for_the_controllers_of_an_arm(simulation: zensim.
     assert found["gripper"] == pytest.approx(0.02, abs=0.002)
     with pytest.raises(zensim.Invalid):
         arm.topic("gripper_controller/commands").put(JointState())
+
+
+def test_topics_that_the_simulation_publishes_are_not_published(
+    simulation: zensim.Simulation,
+) -> None:
+    robot = simulation.spawn("box_bot_lidar", name="r1")
+
+    for name in ("odom", "joint_states", "scan"):
+        topic = robot.topic(name)
+        for _ in range(2):
+            with pytest.raises(zensim.Invalid) as refused:
+                topic.put(topic.kind())
+            assert "cmd_vel" in str(refused.value)
+
+    robot.topic("cmd_vel").put(Twist())
+    simulation.topic("r1/filtered/odom").put(Odometry())
+    simulation.topic("elsewhere/odom").put(Odometry())
