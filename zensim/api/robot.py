@@ -124,7 +124,11 @@ class Robot(EntityHandle):
 
     @property
     def joints(self) -> JointState:
-        """Newest joint states, as on their topic; fields of numbers are arrays."""
+        """Newest joint states, as on their topic; fields of numbers are arrays.
+
+        Efforts are NaN until the first message after a step, with which the engine finds them,
+        and always for kinematic robots.
+        """
         topic: Topic[JointState] = self._topic_of("joint_states")
         return topic.newest()
 
