@@ -433,11 +433,7 @@ class WorldSession:
         return self.find_topic(key, spec.messages[0])
 
     def _refuse_published(self, key: str) -> None:
-        """Refuse to publish on a topic of a robot that the simulation publishes.
-
-        Raises:
-            Invalid: It is one.
-        """
+        """Raise Invalid if the simulation publishes this topic of a robot."""
         for entry in self.roster().entries.values():
             if not key.startswith(f"{entry.namespace}/"):
                 continue
@@ -543,12 +539,10 @@ def list_robot_topics(entry: RosterEntry) -> dict[str, tuple[str, TopicSpec]]:
             )
             if key
         }
-        commands = [
-            f"{controller.name}/{CONTROLLER_COMMANDS.suffix}"
-            for controller in entry.model.joint_controllers
-            if not controller.follows_trajectories
-        ]
-        found |= {name: (f"{entry.namespace}/{name}", CONTROLLER_COMMANDS) for name in commands}
+        for controller in entry.model.joint_controllers:
+            if not controller.follows_trajectories:
+                name = f"{controller.name}/{CONTROLLER_COMMANDS.suffix}"
+                found[name] = (f"{entry.namespace}/{name}", CONTROLLER_COMMANDS)
     for sensor in entry.model.sensors:
         for topic in sensor.topics:
             key = f"{entry.namespace}/{topic.name}"

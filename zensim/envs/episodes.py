@@ -276,11 +276,6 @@ class Episodes:
 
 
 def _choose_agents(task: RobotTask, robots: int) -> IntArray:
-    """Find the robots that learn.
-
-    Raises:
-        Invalid: They are not different rows of robots.
-    """
     found = task.choose_agents(robots)
     check_returned(task, "choose_agents()", found, (np.size(found),), "whole numbers")
     if not len(found) or sorted(set(found.tolist()) & set(range(robots))) != sorted(found.tolist()):

@@ -125,18 +125,10 @@ def check_returned(
     *,
     live: BoolArray | bool = True,
 ) -> None:
-    """Check an array that a method of a task returned.
-
-    Args:
-        task: Of which the name is told.
-        what: The method, and the attribute of what it returned.
-        found: The array.
-        shape: That it must have.
-        kind: One of `ARRAY_KINDS`.
-        live: Where it must not be NaN, with the dimensions of the array.
+    """Check the shape and kind (of `ARRAY_KINDS`) of an array of a task, NaN only where `live`.
 
     Raises:
-        Invalid: It is no such array.
+        Invalid: It has another, or is none.
     """
     name = f"{type(task).__name__}.{what}"
     hint = f"return an array {shape} of {kind}"

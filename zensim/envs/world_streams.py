@@ -35,11 +35,7 @@ class WorldStreams:
         self._counters[worlds] = 0
 
     def seed_each(self, seeds: Sequence[int | None]) -> None:
-        """Start worlds anew, each as the first of its seed; None = a world goes on.
-
-        Raises:
-            Invalid: See `seed`.
-        """
+        """Start worlds anew, each as the first of its seed; None = a world goes on."""
         rows = [row for row, seed in enumerate(seeds) if seed is not None]
         roots = np.array([_make_root(seeds[row]) for row in rows], np.uint64)
         self._keys[rows] = draw_words(roots, 0, 1)[:, 0]
