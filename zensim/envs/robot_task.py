@@ -125,7 +125,7 @@ def check_returned(
     *,
     live: BoolArray | bool = True,
 ) -> None:
-    """Check the shape and kind (of `ARRAY_KINDS`) of an array of a task, NaN only where `live`.
+    """Check shape and kind (of `ARRAY_KINDS`) of an array of a task, and where `live` for NaN.
 
     Raises:
         Invalid: It has another, or is none.
