@@ -208,9 +208,9 @@ class Episodes:
             raise Closed("this environment is closed", hint="make another one")
 
     def _refuse_not_finite(self, actions: FloatArray, is_still: BoolArray) -> None:
-        is_wrong = ~(np.isfinite(actions).all(axis=-1) | is_still)
-        if is_wrong.any():
-            pairs = np.argwhere(is_wrong)[:5].tolist()
+        is_finite = np.isfinite(actions)
+        if not is_finite.all() and not (is_right := is_finite.all(axis=-1) | is_still).all():
+            pairs = np.argwhere(~is_right)[:5].tolist()
             wrong = ", ".join(f"'{self.names[row]}' in world {world}" for world, row in pairs)
             raise Invalid(
                 f"actions are not finite: of {wrong}",
