@@ -170,15 +170,6 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         HEAD + "checks:\n  - {name: c, that: speed, below: 1, after: f, within: 1}\n",
         [(5, 45, "checks[0].after")],
     ),
-    "check_from_after_the_end": (
-        HEAD + "checks:\n  - {name: c, that: speed, below: 1, from: 6}\nend: {at: 5}\n",
-        [(5, 44, "checks[0].from")],
-    ),
-    "hold_that_is_longer_than_the_run": (
-        HEAD
-        + "checks:\n  - {name: c, that: speed, below: 1, from: 2, by: 9, hold: 4}\nend: {at: 5}\n",
-        [(5, 60, "checks[0].hold")],
-    ),
     "check_of_itself": (
         HEAD + "checks:\n  - {name: c, that: all_of, checks: [c]}\n",
         [(5, 37, "checks[0].checks")],

@@ -191,7 +191,7 @@ class Recorder:
             TimeoutError: No server of the world is running.
         """
         self._bus, self._chosen, self._settings, self._sink = bus, chosen, settings, sink
-        self._left_out = list_left_out(settings)
+        self._left_out, self._follows_clock = list_left_out(settings), settings.is_in_process
         self._table = TopicTable(settings.world, self._accepts, settings.step_ns, bus.expect_key)
         self._clock_topic = make_clock_topic() if self._accepts_clock() else None
         self._inputs_key = INPUTS.key(settings.world)
@@ -206,7 +206,6 @@ class Recorder:
         self._announced: dict[str, set[str]] = {}
         """Tokens of the publishers of each key that is subscribed to as they announce it."""
         self._now_ns, self._epoch = self._read_first_clock()
-        self._follows_clock = settings.is_in_process
         self._last_ns: dict[RecordedTopic, int] = {}
         self._early: list[Sample] = []  # of the time after a reset, until they are due
         self._record_latched()

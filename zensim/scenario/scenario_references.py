@@ -242,8 +242,7 @@ class ReferenceCheck:
             self._require(f"{path}.{key}", entry.get(key), events, "fault or behaviour")
         for index, name in enumerate(entry.get("checks") or ()):
             self._require(f"{path}.checks[{index}]", name, self._list_names("checks"), "check")
-        run_end = (self._plain.get("end") or {}).get("at")
-        for mistake, at_key in _find_time_mistakes(entry, run_end):
+        for mistake, at_key in _find_time_mistakes(entry):
             self._refuse(f"{path}.{at_key}" if at_key else path, mistake)
         kind = entry.get("that")
         if kind in ("distance", "speed", "rate") and "above" not in entry and "below" not in entry:
@@ -307,7 +306,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _find_time_mistakes(entry: Entry, run_end: PlainValue) -> Iterator[tuple[str, str]]:
+def _find_time_mistakes(entry: Entry) -> Iterator[tuple[str, str]]:
     """Find keys of time that do not fit together, each with its key."""
     if "within" in entry and "after" not in entry:
         yield "`within` needs `after`; for a time of the run use `by`", "within"
@@ -321,8 +320,3 @@ def _find_time_mistakes(entry: Entry, run_end: PlainValue) -> Iterator[tuple[str
         yield "`by`, or `after` and `within`, is missing: until when is the point reached?", ""
     if entry.get("hold") and "by" not in entry and "within" not in entry:
         yield "`hold` needs `by`, or `after` and `within`", "hold"
-    times = start, entry.get("hold", 0.0), run_end
-    if all(isinstance(one, float) for one in times) and start + times[1] > run_end:
-        key = "hold" if times[1] else "from"
-        over = start + times[1]
-        yield f"`{key}` is over at {over:g} s, after the run (`end.at`: {run_end:g} s)", key
