@@ -364,7 +364,7 @@ def _describe_steering_limits(model: Model, motion: PredictedMotion) -> str:
         return ""
     joints = {joint.name: joint for joint in model.joints}
     targets = find_drive_targets(model, motion.command)
-    for actuator, wanted in zip(model.actuators, targets, strict=True):
+    for actuator, wanted in zip(model.drive_actuators, targets, strict=True):
         if actuator.mode != "position" or actuator.joint not in steering:
             continue
         if (found := limit_position(joints[actuator.joint], wanted)) != wanted:

@@ -15,7 +15,7 @@ from tests.sim_server.description.wheel_models import (
 )
 from tests.sim_server.description.wheel_models import a_box as box_collision
 from zensim.proto.messages.drive_messages import DiffDrive, DriveOrder, WheelPair
-from zensim.proto.messages.model_messages import Inertial, Link, Model
+from zensim.proto.messages.model_messages import Inertial, JointController, Link, Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.driving_notes import describe_driving
 from zensim.sim_server.description.model_geometry import FALL, falls_without_end
@@ -290,8 +290,14 @@ def with_steering_limits(limit: float) -> Model:
     return msgspec.structs.replace(model, joints=joints)
 
 
-def test_steering_that_ends_before_the_angle_of_a_turn_is_named() -> None:
-    (reason,) = reasons(with_steering_limits(0.15))
+@pytest.mark.parametrize("controllers", [(), ("arm",)], ids=["car", "car with an arm"])
+def test_steering_that_ends_before_the_angle_of_a_turn_is_named(
+    controllers: tuple[str, ...],
+) -> None:
+    car = with_steering_limits(0.15)
+    arms = tuple(JointController(name, (car.joints[0].name,)) for name in controllers)
+    car = msgspec.structs.replace(car, joint_controllers=arms)
+    (reason,) = reasons(car)
 
     assert reason.startswith("it turns at about 0.5")
     assert "'left_steering_joint'" in reason
