@@ -83,7 +83,7 @@ def foxglove(given: FoxgloveOptions) -> None:
     with exit_on_failure("foxglove", MissingFoxgloveExtra):
         check_name(given.world_name, "world")
         for origin in given.allow_origin or ():
-            if not re.fullmatch("https?://[^/]+", origin):
+            if not re.fullmatch(r"[a-z][a-z0-9+.-]*://[^/]*", origin):
                 raise ValueError(
                     f"--allow-origin '{origin[:80]}' is no origin; use SCHEME://HOST[:PORT], such "
                     "as https://app.foxglove.dev"

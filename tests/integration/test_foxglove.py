@@ -282,8 +282,8 @@ def test_page_of_another_site_is_refused(
     assert answer.startswith(f"HTTP/1.1 {status} ")
 
 
-def test_admitted_origin_and_token_are_accepted(sim: api.Sim) -> None:
-    origin = "https://app.example"
+@pytest.mark.parametrize("origin", ["https://app.example", "vscode-webview://a1b2"])
+def test_admitted_origin_and_token_are_accepted(sim: api.Sim, origin: str) -> None:
     options = ("--port", "0", "--json", "--secure", "--allow-origin", origin)
     with running("foxglove", *options, "--connect", sim.endpoint) as process:
         url = str(read_json_line(process)["foxglove"])
