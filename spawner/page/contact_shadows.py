@@ -1,8 +1,10 @@
-"""Dark patches on the ground below robots: WebGL in software draws no shadows. NumPy only."""
+"""Dark patches on the ground below robots: WebGL in software draws no shadows."""
 
+from io import BytesIO
 from typing import Final
 
 import numpy as np
+from PIL import Image
 
 from zensim.proto.se3 import FloatArray, to_yaw
 from zensim.spawner.page.model_visuals import Array, ColouredMesh, TriangleMesh
@@ -10,29 +12,43 @@ from zensim.spawner.page.model_visuals import Array, ColouredMesh, TriangleMesh
 MAX_SHADOWS: Final = 200
 """Robots of a model up to which they have patches: those of more are small, and take time."""
 GROUND_M: Final = 0.003
-LAYER_M: Final = 0.0005
-"""Distance of the layers of a patch."""
-MARGINS: Final = (0.7, 0.55, 0.4, 0.25, 0.1, -0.05, -0.2)
-"""How far the layers reach beyond the robot, in halves of its lesser extent: a soft edge."""
-OPACITY: Final = 0.09
-CUT: Final = 0.55
-"""Share of a side at which its corner is cut."""
-OUTLINE: Final = np.array(
-    [(1, CUT), (CUT, 1), (-CUT, 1), (-1, CUT), (-1, -CUT), (-CUT, -1), (CUT, -1), (1, -CUT)]
-)
+REACH: Final = 0.8
+"""How far a patch reaches beyond the robot, in halves of its lesser extent."""
+OPACITY: Final = 0.55
+"""In the middle of a patch."""
+PIXELS: Final = 64
+"""Side of its picture."""
+CORNERS: Final = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+FACES: Final = ((0, 1, 2), (0, 2, 3))
 
 
 def make_shadow(bounds: Array) -> ColouredMesh:
     """Make the patch of a robot with these lowest and highest corners (2, 3) in its base."""
     centre, halves = bounds[:, :2].mean(axis=0), np.ptp(bounds[:, :2], axis=0) / 2.0
-    layers, faces = [], []
-    fan = np.array([(0, i, i + 1) for i in range(1, len(OUTLINE) - 1)], np.uint32)
-    for number, margin in enumerate(MARGINS):
-        rim = centre + OUTLINE * (halves + margin * halves.min())
-        layers.append(np.column_stack([rim, np.full(len(rim), number * LAYER_M)]))
-        faces.append(fan + np.uint32(number * len(OUTLINE)))
-    mesh = TriangleMesh(np.concatenate(layers), np.concatenate(faces))
+    reach = REACH * float(halves.min())
+    corners = np.array(CORNERS)
+    mesh = TriangleMesh(
+        np.column_stack([centre + corners * (halves + reach), np.zeros(len(corners))]),
+        np.array(FACES, np.uint32),
+        ((corners + 1.0) / 2.0).astype(np.float32),
+        _draw(halves, reach),
+    )
     return ColouredMesh(mesh, (0.0, 0.0, 0.0, OPACITY), is_smooth=False, has_file=False)
+
+
+def _draw(halves: Array, reach: float) -> bytes:
+    """Draw a rectangle with soft edges as PNG: opaque in its middle, clear where it ends."""
+    across, along = np.meshgrid(*((np.linspace(-1.0, 1.0, PIXELS) * (h + reach)) for h in halves))
+    # From where a patch is darkest, well within the robot, to its end.
+    within = halves - reach / 2.0
+    beyond = np.maximum(np.abs(np.stack([across, along], axis=-1)) - within, 0.0)
+    share = np.clip(1.0 - np.linalg.norm(beyond, axis=-1) / (1.5 * reach), 0.0, 1.0)
+    opacity = share * share * (3.0 - 2.0 * share)
+    pixels = np.zeros((PIXELS, PIXELS, 2), np.uint8)
+    pixels[..., 1] = np.round(255.0 * opacity)
+    picture = BytesIO()
+    Image.fromarray(pixels, "LA").save(picture, "PNG")
+    return picture.getvalue()
 
 
 def find_ground_poses(base: FloatArray) -> FloatArray:

@@ -11,11 +11,12 @@ from zensim.proto.se3 import to_yaw
 from zensim.spawner.page.drive_control import STOP, RobotBusy, Velocity, find_scale
 from zensim.spawner.page.floor_picking import Act
 from zensim.spawner.page.page_theme import MUTED_BUTTON, STOP_BUTTON
-from zensim.spawner.page.render_state import RenderedFleet
+from zensim.spawner.page.render_state import RenderedFleet, is_moving
 from zensim.spawner.page.robot_colours import Rgb
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.script_messages import ScriptMessage, ZensimDrive, ZensimLeave
 from zensim.spawner.page.shortcuts import DRIVE_TO, STOP_ALL, TAKE_OVER
+from zensim.spawner.page.side_panel import STALE_S, WITHOUT_COMMANDS
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.teleop.drive_twists import find_drive_style
 
@@ -75,13 +76,22 @@ class DrivePanel(Panel):
         if not self._robot:
             self._text.content = _make_html(NO_ROBOT)
             return
-        driver = self._driver.find_driver(self._robot)
-        who = "no visitor" if driver is None else "another visitor"
-        who = "you" if driver == self._visitor else who
+        who = self._name_driver(state)
         member = state.fleet.members.get(self._entity)
         has_agent = member is not None and member.agent
         note = "" if has_agent else "; it has no agent, so commands have no effect"
         self._text.content = _make_html(f"{self._entity}: driven by {who}{note}")
+
+    def _name_driver(self, state: PageState) -> str:
+        driver = self._driver.find_driver(self._robot)
+        if driver is not None:
+            return "you" if driver == self._visitor else "another visitor"
+        command = state.commands.get(self._entity)
+        if command is not None and command.age_s < STALE_S:
+            return "a program that publishes cmd_vel"
+        is_known = self._entity in state.fleet.rows
+        moves = is_known and is_moving(state.state_of(self._entity))
+        return WITHOUT_COMMANDS if moves else "nobody"
 
     def change_selection(self) -> None:
         """Drive the robot that is selected now."""

@@ -269,6 +269,14 @@ const BOX_INDEX = [
 const levelled = new WeakSet();
 let partCounts = {};
 
+// The ground is transparent, too, and covers patches that are drawn before it.
+function drawShadowsLast() {
+  const nodes = window.__viserMutable ? window.__viserMutable.nodeRefFromName : {};
+  for (const [path, node] of Object.entries(nodes)) {
+    if (node && path.startsWith("/shadows/")) node.traverse((one) => { one.renderOrder = 1; });
+  }
+}
+
 function addFarLevels() {
   const page = window.__viserMutable, models = {}, counts = {};
   if (!page || !page.camera || !page.canvas) return;
@@ -432,6 +440,7 @@ function refresh() {
   }
   places("head").forEach(showHead);
   centreAboveSheet();
+  drawShadowsLast();
   addFarLevels();
   chooseDpr();
   closeNotice();

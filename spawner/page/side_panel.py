@@ -55,6 +55,8 @@ SHORT: Final = 0.95
 """Share of the wanted real-time factor below which it counts as not reached."""
 STALE_S: Final = 1.0
 """A command older than this is shown with its age."""
+WITHOUT_COMMANDS: Final = "its behaviour, or a client without cmd_vel"
+"""What drives a robot that moves although no command is seen and no order is known."""
 
 PanelRows = list[tuple[str, str]]
 
@@ -133,8 +135,7 @@ def format_command(command: LastCommand | None, *, moves: bool = False, order: s
         order: Of a fleet manager; empty if there is none.
     """
     if command is None:
-        by = f"order {to_html(order)}" if order else "a client, without cmd_vel"
-        return by if moves else "nothing"
+        return (f"order {to_html(order)}" if order else WITHOUT_COMMANDS) if moves else "nothing"
     text = f"cmd_vel  v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
     return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
 

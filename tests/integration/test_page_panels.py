@@ -651,6 +651,25 @@ def test_the_first_visitor_is_another_visitor_to_the_second(
         acting.until(lambda: "driven by another visitor" in second.texts(), "the driver")
 
 
+@pytest.mark.parametrize(
+    ("speed_mps", "command", "who"),
+    [
+        (0.0, None, "nobody"),
+        (0.3, None, "its behaviour"),
+        (0.3, LastCommand(0.3, 0.0, age_s=0.1), "a program that publishes cmd_vel"),
+        (0.0, LastCommand(0.3, 0.0, age_s=9.0), "nobody"),
+    ],
+)
+def test_it_is_said_who_drives_a_robot_that_no_visitor_drives(
+    acting: Visit, speed_mps: float, command: LastCommand | None, who: str
+) -> None:
+    acting.speed_mps = speed_mps
+    acting.commands = {"r1": command} if command is not None else {}
+    select(acting, "r1")
+
+    acting.until(lambda: f"r1: driven by {who}" in acting.visitor.texts(), "who drives it")
+
+
 def test_of_two_visitors_one_drives_and_the_other_may_take_over(
     driving: Visit, commands: Subscription
 ) -> None:

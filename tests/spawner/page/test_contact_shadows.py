@@ -1,9 +1,11 @@
 """Patches below robots: their extent, where they lie, and for how many robots."""
 
 import math
+from io import BytesIO
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from zensim.spawner.page.contact_shadows import (
     GROUND_M,
@@ -15,14 +17,16 @@ from zensim.spawner.page.contact_shadows import (
 BOUNDS = np.array([(-0.3, -0.1, -0.2), (0.1, 0.1, 0.4)])
 
 
-def test_layers_reach_from_within_the_robot_to_beyond_it() -> None:
+def test_patch_is_dark_below_the_robot_and_clear_where_it_ends() -> None:
     patch = make_shadow(BOUNDS)
-    layers = patch.mesh.vertices.reshape(-1, 8, 3)
-    halves = np.abs(layers[..., :2] - (-0.1, 0.0)).max(axis=1)
+    opacity = np.asarray(Image.open(BytesIO(patch.mesh.image)))[..., 1].astype(int)
+    middle = len(opacity) // 2
 
-    assert (np.diff(halves, axis=0) < 0.0).all()
-    assert (halves[0] > (0.2, 0.1)).all()
-    assert (halves[-1] < (0.2, 0.1)).all()
+    assert (np.abs(patch.mesh.vertices[:, :2] - (-0.1, 0.0)) > (0.2, 0.1)).all()
+    assert opacity[middle, middle] == 255
+    assert opacity[[0, -1]].max() == opacity[:, [0, -1]].max() == 0
+    assert (np.diff(opacity[middle, middle:]) <= 0).all()
+    assert np.abs(np.diff(opacity[middle])).max() < 40
     assert patch.rgba[3] < 1.0
 
 

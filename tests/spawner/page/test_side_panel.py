@@ -102,7 +102,7 @@ def test_robot_that_moves_without_cmd_vel_is_commanded_by_an_order_or_a_client(c
 
     vehicle = VehicleStatus("r1", "o<7>", "driving", "n1", "n4", 81.6)
 
-    assert "a client" in make_robot_html(EntityModel("r1", "r1", 0), state, None)
+    assert "its behaviour, or a client" in make_robot_html(EntityModel("r1", "r1", 0), state, None)
     assert "order o&lt;7&gt;" in make_robot_html(EntityModel("r1", "r1", 0), state, None, vehicle)
 
 
