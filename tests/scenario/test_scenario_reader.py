@@ -549,6 +549,18 @@ def test_robots_of_a_random_layout_keep_their_distance(tmp_path: Path) -> None:
     assert min(gaps) >= 0.8
 
 
+@pytest.mark.parametrize(
+    "layout", ["{kind: grid, radius: 3}", "{radius: 3}", "{kind: circle, radius: 3, spacing: 1}"]
+)
+def test_key_of_a_layout_without_effect_is_refused(layout: str, tmp_path: Path) -> None:
+    text = f"zensim: 1\nrobots:\n  - {{name: a, model: box_bot, count: 4, layout: {layout}}}\n"
+
+    (found,) = issues_of(tmp_path, text)
+
+    assert found.path == "robots[0].layout"
+    assert "radius" in found.message
+
+
 def test_fifty_lines_are_read_in_ten_milliseconds(tmp_path: Path) -> None:
     more = "".join(
         f"  - {{name: b{n}, robots: cart*, do: waypoints, points: [[1, 0], [2, 0]]}}\n"

@@ -12,7 +12,12 @@ from typing import Final, Generic
 
 import msgspec
 
-from zensim.proto.bounded_files import MAX_OWN_FILE_BYTES, open_regular_file, read_text_file
+from zensim.proto.bounded_files import (
+    MAX_OWN_FILE_BYTES,
+    open_regular_file,
+    read_file,
+    read_text_file,
+)
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.recording.bag_metadata import CUSTOM_DATA, PartFacts, write_bag_metadata
 from zensim.recording.file_index import read_index
@@ -38,6 +43,7 @@ SUFFIX: Final = ".mcap"
 MAX_CHANNELS: Final = (1 << 16) - 1
 """Most channels of a file: their numbers have 16 bits."""
 METADATA_FILE: Final = "metadata.yaml"
+FILE_IN_METADATA: Final = re.compile(r"[^\s\"',/\[\]]+" + re.escape(SUFFIX))
 PART: Final = "part"
 """Key of the number of a file, counted from 0, in its facts."""
 
@@ -174,6 +180,20 @@ def list_further_files(path: Path) -> list[Path]:
         OSError: The folder cannot be read.
     """
     return [] if path.is_dir() else [one for one in list_own_files(path) if one != path]
+
+
+def list_missing_files(path: Path) -> list[str]:
+    """List the files that the metadata of a folder name and that are not there; none of a file.
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    metadata = path / METADATA_FILE
+    if not path.is_dir() or not metadata.exists():
+        return []
+    text = read_file(metadata, MAX_OWN_FILE_BYTES).decode(errors="replace")
+    named = dict.fromkeys(FILE_IN_METADATA.findall(text))
+    return [name for name in named if not (path / name).exists()]
 
 
 def list_own_files(path: Path) -> Iterator[Path]:

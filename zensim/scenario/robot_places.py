@@ -93,6 +93,10 @@ def _place_by_layout(
 ) -> list[PlaceSection]:
     given = resolve_draws(plain.get("layout") or {}, seed, f"{path}.layout")
     layout = msgspec.convert(given, LayoutSection)
+    if layout.radius is not None and layout.kind in ("row", "grid"):
+        raise ValueError(f"a {layout.kind} has no `radius`; use `spacing`, or another `kind`")
+    if layout.kind == "circle" and {"radius", "spacing"} <= given.keys():
+        raise ValueError("a circle has `radius` or `spacing`; remove one")
     if layout.kind == "random":
         return _place_at_random(layout, count, seed, path)
     spacing = layout.spacing

@@ -8,7 +8,15 @@ import msgspec
 
 from zensim.vda5050 import order_errors
 from zensim.vda5050.order_errors import Rejection
-from zensim.vda5050.vda_messages import Action, Edge, Major, Node, Order, check_order
+from zensim.vda5050.vda_messages import (
+    Action,
+    Edge,
+    InstantActions,
+    Major,
+    Node,
+    Order,
+    check_order,
+)
 
 Status: TypeAlias = Literal["WAITING", "RUNNING", "FINISHED", "FAILED"]
 STOPPING: Final = frozenset({"SOFT", "HARD"})
@@ -114,7 +122,8 @@ def accept(progress: OrderProgress, order: Order, facts: VehicleFacts) -> OrderP
     Raises:
         Rejection: The vehicle keeps what it has.
     """
-    if problem := _check_receiver(order, facts) or check_order(order, facts.major):
+    problem = check_receiver(order, facts.manufacturer, facts.serial)
+    if problem := problem or check_order(order, facts.major):
         raise Rejection(order_errors.INVALID, problem)
     content = sha256(msgspec.json.encode((order.nodes, order.edges))).hexdigest()
     is_update = bool(progress.order_id) and order.order_id == progress.order_id
@@ -131,12 +140,13 @@ def accept(progress: OrderProgress, order: Order, facts: VehicleFacts) -> OrderP
     )
 
 
-def _check_receiver(order: Order, facts: VehicleFacts) -> str:
+def check_receiver(message: Order | InstantActions, manufacturer: str, serial: str) -> str:
+    """Say why a message is for another vehicle; empty if it is for this one, or for any."""
     for key, given, own in (
-        ("manufacturer", order.manufacturer, facts.manufacturer),
-        ("serialNumber", order.serial_number, facts.serial),
+        ("manufacturer", message.manufacturer, manufacturer),
+        ("serialNumber", message.serial_number, serial),
     ):
-        if facts.serial and given not in ("", own):
+        if serial and given not in ("", own):
             return f"{key} {given[:80]!r} is not {own!r}, which the topic has"
     return ""
 

@@ -172,6 +172,8 @@ class InstantActions(msgspec.Struct, frozen=True, rename="camel"):
     instant_actions: Annotated[tuple[Action, ...], msgspec.Meta(max_length=MAX_ITEMS)] = ()
     header_id: Count = 0
     version: Name = ""
+    manufacturer: Name = ""
+    serial_number: Name = ""
 
 
 class OrderReference(msgspec.Struct, frozen=True, rename="camel"):

@@ -12,6 +12,7 @@ from zensim.vda5050.order_progress import (
     VehicleFacts,
     accept,
     cancel,
+    check_receiver,
     finish_actions,
     pass_node,
     step_actions,
@@ -183,9 +184,12 @@ class Vehicle:
         """Do instant actions, or report why not."""
         try:
             given = read_message(InstantActions, payload)
+            problem = check_receiver(given, self._settings.manufacturer, self._serial)
         except MalformedOrder as error:
+            given, problem = InstantActions(), str(error)
+        if problem:
             references = (("topic", "instantActions"),)
-            self.add_error(VehicleError(order_errors.INVALID, str(error), references))
+            self.add_error(VehicleError(order_errors.INVALID, problem, references))
             return
         known = {one.action.action_id for one in self.record.instant}
         for action in given.actions + given.instant_actions:

@@ -118,6 +118,20 @@ def test_info_names_the_further_files_of_a_recording(tmp_path: Path) -> None:
     assert notes[2] == ""
 
 
+def test_info_names_the_files_that_a_folder_lacks(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    parts = RecordingParts[RecordedTopic](PartSettings(path=folder), Metadata("zensim", {}))
+    parts.start_part(1, 1)
+    parts.close()
+    (folder / "run_0.mcap").unlink()
+
+    done = CliRunner().invoke(bag_commands.app, ("info", str(folder)))
+
+    assert done.exit_code == ExitCode.OK
+    assert "run_0.mcap" in done.stderr
+    assert "run_1.mcap" not in done.stderr
+
+
 def test_options_have_the_names_of_rosbag2() -> None:
     """Those of `ros2 bag record` whose meaning is the same; their short forms are the same, too."""
     declared = {name for one in get_command(record_commands.app).params for name in one.opts}

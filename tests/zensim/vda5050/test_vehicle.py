@@ -290,6 +290,20 @@ def test_order_for_another_vehicle_is_refused(key: str) -> None:
     assert not vehicle.progress.is_idle
 
 
+@pytest.mark.parametrize("key", ["serialNumber", "manufacturer"])
+def test_instant_actions_for_another_vehicle_are_refused(key: str) -> None:
+    vehicle = make()
+    given = header() | {"actions": [action("startPause", "p", blocking="NONE")]}
+
+    vehicle.take_instant_actions(write(given | {key: "other"}), HERE)
+
+    assert list_errors(vehicle) == [("validationError", "WARNING")]
+    assert "'other'" in vehicle.errors[0].text
+    assert not vehicle.record.instant
+    vehicle.take_instant_actions(write(given), HERE)
+    assert [one.action.action_id for one in vehicle.record.instant] == ["p"]
+
+
 def test_accepted_order_ends_the_errors_of_others() -> None:
     vehicle = make()
     vehicle.take_order(b"{}", HERE)
