@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,9 @@ from zensim.sim_server.physics.engine import (
     FloatArray,
 )
 from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray
+
+if TYPE_CHECKING:
+    import mujoco
 
 RIGID_ERP = 0.2
 """Share of a penetration or error that a step corrects, where rigid."""
@@ -42,6 +45,8 @@ MIN_LEVEL_AXIS = 0.1
 """Length on the plane of contact from which an axis of friction has an effect."""
 MIN_REBOUND_MPS = 0.05
 """Least speed of an impact that rebounds: what rests is hit by gravity in each step."""
+REBOUND_STIFFENING = 100.0
+"""How much less than others the rows of an impact yield."""
 FRICTION_CONDIM = 3
 """Rows of a contact with friction: normal, and two tangents."""
 TANGENTS = 2
@@ -283,30 +288,40 @@ class Rebounds:
     thresholds: FloatArray
     dt_s: float
 
-    def apply(
-        self, wanted: FloatArray, velocities: FloatArray, contacts: MjContacts, rows: FloatArray
-    ) -> None:
+    def apply(self, data: "mujoco.MjData") -> None:
         """Let impacts rebound, before rows are solved.
 
         MuJoCo has no coefficient: the wish of a normal becomes the acceleration that reverses its
-        speed within the step, and what `limit_penetration_recovery` will take from it.
-
-        Args:
-            wanted: Reference acceleration of each row; changed.
-            velocities: Of each row.
-            contacts: In MuJoCo's order.
-            rows: (n, 4) stiffness, damping, impedance and its slope of each row.
+        speed within the step, and what `limit_penetration_recovery` will take from it. Its rows do
+        not yield: corners that hit together, or beside the middle, yield otherwise than one alone.
         """
+        contacts, rows = data.contact, data.efc_KBIP
         pairs = self.coefficients[contacts.geom].min(axis=1)
         found = np.flatnonzero((pairs > 0.0) & (contacts.efc_address >= 0))
         normals = contacts.efc_address[found]
-        speeds = -velocities[normals]
+        speeds = -data.efc_vel[normals]
         least = np.maximum(self.thresholds[contacts.geom[found]].min(axis=1), MIN_REBOUND_MPS)
         hits = speeds > least
         normals, found = normals[hits], found[hits]
-        change = (1.0 + pairs[found]) * speeds[hits] / self.dt_s
-        wanted[normals] = change / rows[normals, 2]
-        wanted[normals] += _find_excess_pushes(contacts.dist[found], rows[normals], self.dt_s)
+        if not len(found):
+            return
+        data.efc_aref[normals] = (1.0 + pairs[found]) * speeds[hits] / self.dt_s
+        data.efc_aref[normals] += _find_excess_pushes(
+            contacts.dist[found], rows[normals], self.dt_s
+        )
+        dims = contacts.dim[found]
+        all_rows = np.repeat(normals - np.cumsum(dims) + dims, dims) + np.arange(dims.sum())
+        _stiffen(data, all_rows)
+
+
+def _stiffen(data: "mujoco.MjData", rows: IndexArray) -> None:
+    """Let rows yield less, also in the copies that islands have."""
+    data.efc_R[rows] /= REBOUND_STIFFENING
+    data.efc_D[rows] *= REBOUND_STIFFENING
+    if data.nisland:
+        copies = data.map_efc2iefc[rows]
+        data.iefc_R[copies] /= REBOUND_STIFFENING
+        data.iefc_D[copies] *= REBOUND_STIFFENING
 
 
 def make_rebounds(

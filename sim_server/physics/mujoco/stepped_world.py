@@ -187,7 +187,7 @@ class SteppedWorld:
             mujoco.mj_island(model, data)
             mujoco.mj_referenceConstraint(model, data)
         if (rebounds := self._compiled.rebounds) is not None and data.ncon:
-            rebounds.apply(data.efc_aref, data.efc_vel, data.contact, data.efc_KBIP)
+            rebounds.apply(data)
 
     def _apply_motor_speeds(self) -> None:
         """Set the target speed of each motor.

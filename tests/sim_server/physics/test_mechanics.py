@@ -4,12 +4,13 @@ import math
 import pickle
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 import pytest
 
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_state
-from zensim.proto.messages.model_messages import Contact, Inertial, Link, Model, Shape
+from zensim.proto.messages.model_messages import Contact, Inertial, Link, Model, Origin, Shape
 from zensim.proto.se3 import FloatArray, rotate
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import GROUND, Engine
@@ -17,6 +18,7 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 
 DT_S = STEP_NS * 1e-9
 G = 9.81
+MUJOCO = next(make for make in PHYSICAL if make.name == "mujoco")
 
 
 @pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
@@ -142,6 +144,28 @@ def find_rebound(engine: Engine, ball: Model, height_m: float = 0.1) -> float:
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.8, 1.0])
 def test_ball_rebounds_by_its_coefficient(engine: Engine, restitution: float) -> None:
     assert find_rebound(engine, a_ball(restitution)) == pytest.approx(restitution, rel=0.03)
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape("box", (0.2, 0.2, 0.2)),
+        Shape("box", (0.4, 0.2, 0.2), origin=Origin((0.05, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))),
+        Shape("cylinder", (0.1, 0.2, 0.0)),
+    ],
+)
+def test_flat_bodies_rebound_by_their_coefficient(shape: Shape, restitution: float) -> None:
+    """In PyBullet they tumble: docs/surfaces.md."""
+    contact = Contact(restitution=restitution)
+    body = a_ball(restitution)
+    link = msgspec.structs.replace(
+        body.links[0], collisions=(msgspec.structs.replace(shape, contact=contact),)
+    )
+    with running(MUJOCO) as engine:
+        found = find_rebound(engine, msgspec.structs.replace(body, links=(link,)))
+
+    assert found == pytest.approx(restitution, rel=0.03)
 
 
 @pytest.mark.parametrize("ball", [a_ball(None), a_ball(0.0), a_ball(0.8, threshold=5.0)])
