@@ -106,6 +106,12 @@ class MjData:
     efc_aref: _Floats
     efc_vel: _Floats
     efc_KBIP: _Floats
+    efc_R: _Floats
+    efc_D: _Floats
+    iefc_R: _Floats
+    iefc_D: _Floats
+    map_efc2iefc: npt.NDArray[np.int32]
+    nisland: int
     efc_pos: _Floats
     geom_xpos: _Floats
     xmat: _Floats

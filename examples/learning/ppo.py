@@ -1,15 +1,18 @@
-"""Learn to drive robots to goals: proximal policy optimization in one file, with JAX.
+"""Train a policy for a task of zensim.envs: proximal policy optimization in one file, with JAX.
 
     pip install 'zensim[server,rl]' jax matplotlib
-    python examples/learning/ppo_reach.py --picture curve.png
+    python examples/learning/ppo.py avoid --save avoid.npz --picture curve.png
+    python examples/learning/evaluate.py avoid.npz
 
-Sixteen worlds with four robots each share one policy. It takes a few minutes on two cores.
+All robots of all worlds share one policy. The file has what NumPy needs to apply it.
 Source of the algorithm: Schulman et al., 'Proximal policy optimization algorithms', 2017.
 """
 
 import argparse
+import json
 import time
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,17 +20,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from zensim.envs import ZensimVectorEnv
+from zensim.envs import Policy, ZensimVectorEnv
 
-ROBOTS, HIDDEN = 4, 64
-STEPS, EPOCHS, MINIBATCHES = 32, 6, 4
-GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.97, 0.95, 0.2, 0.003, 1e-3
-SCALE = np.array([3.0, 3.0, 0.5, 2.0], np.float32)
-"""Of observations: goal x, y [m], forward velocity [m/s], turn [rad/s]."""
+HIDDEN = 64
+STEPS, EPOCHS, MINIBATCHES = 32, 5, 8
+GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.98, 0.95, 0.2, 0.003, 1e-3
+LEAST_RATE = 0.05
+"""Share of the first learning rate that is left at the end."""
 Parameters = dict[str, Any]
 Moments = tuple[Parameters, Parameters, jax.Array]
 """Of slopes: means, means of squares, and their number."""
-COUNTED = 256
+COUNTED = 2000
 """Last robots of ended episodes, of which the share that succeeded is printed."""
 
 
@@ -43,6 +46,29 @@ class Rollout(NamedTuple):
     is_terminated: np.ndarray
     is_cut: np.ndarray
     is_valid: np.ndarray
+
+
+class Scale:
+    """Mean and deviation of each number of the observations so far."""
+
+    def __init__(self, size: int) -> None:
+        self.mean, self._square, self._count = np.zeros(size), np.ones(size), 1e-4
+
+    def add(self, rows: np.ndarray) -> None:
+        """Count rows (n, d)."""
+        share = len(rows) / (self._count + len(rows))
+        self.mean = self.mean + share * (rows.mean(axis=0) - self.mean)
+        self._square = self._square + share * ((rows**2).mean(axis=0) - self._square)
+        self._count += len(rows)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Deviation (d,)."""
+        return np.sqrt(np.maximum(self._square - self.mean**2, 1e-4))
+
+    def apply(self, rows: np.ndarray) -> np.ndarray:
+        """Give rows mean 0 and deviation 1."""
+        return ((rows - self.mean) / self.deviation).astype(np.float32)
 
 
 def make_parameters(key: jax.Array, observed: int, acted: int) -> Parameters:
@@ -97,10 +123,12 @@ def find_loss(parameters: Parameters, batch: tuple[jax.Array, ...]) -> jax.Array
 
 @partial(jax.jit, donate_argnums=(0, 1))
 def improve(
-    parameters: Parameters, moments: Moments, batch: tuple[jax.Array, ...]
+    parameters: Parameters, moments: Moments, batch: tuple[jax.Array, ...], rate: float
 ) -> tuple[Parameters, Moments]:
     """Make a step of Adam."""
     slopes = jax.grad(find_loss)(parameters, batch)
+    length = jnp.sqrt(sum(jnp.sum(one**2) for one in jax.tree.leaves(slopes)))
+    slopes = jax.tree.map(lambda one: one / jnp.maximum(1.0, length), slopes)
     first, second, count = moments
     first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, slopes)
     second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g * g, second, slopes)
@@ -108,7 +136,7 @@ def improve(
 
     def step(parameter: jax.Array, m: jax.Array, v: jax.Array) -> jax.Array:
         m, v = m / (1.0 - 0.9**count), v / (1.0 - 0.999**count)
-        return parameter - RATE * m / (jnp.sqrt(v) + 1e-8)
+        return parameter - rate * m / (jnp.sqrt(v) + 1e-8)
 
     return jax.tree.map(step, parameters, first, second), (first, second, count)
 
@@ -119,43 +147,56 @@ class Collector:
     Attributes:
         outcomes: Whether each robot succeeded; noted when the episode of its world ends, as those
             that succeed end first.
+        scale: Of the observations.
     """
 
-    def __init__(self, env: ZensimVectorEnv, seed: int) -> None:
-        self._env = env
-        self._rows = self._flatten(env.reset(seed=seed)[0])
+    def __init__(self, envs: list[ZensimVectorEnv], seed: int) -> None:
+        self._envs = envs
+        observations = [env.reset(seed=seed + at)[0] for at, env in enumerate(envs)]
+        self._cuts = np.cumsum([one.size // one.shape[-1] for one in observations])[:-1]
+        self.scale = Scale(observations[0].shape[-1])
+        self._rows = self._flatten(observations)
         self._is_over = np.zeros(len(self._rows), np.bool_)
         self._is_restarting = np.zeros(len(self._rows), np.bool_)
         self.outcomes: deque[bool] = deque(maxlen=COUNTED)
-        self.observed = self._rows.shape[1]
 
     def collect(self, parameters: Parameters, key: jax.Array) -> Rollout:
         """Make some steps with the policy."""
         found = []
         for one in jax.random.split(key, STEPS):
-            actions, log_probs, values = map(np.asarray, act(parameters, self._rows, one))
-            found.append((self._rows, actions, log_probs, values, *self._step(actions)))
-        last = np.asarray(act(parameters, self._rows, key)[2])
+            rows = self.scale.apply(self._rows)
+            actions, log_probs, values = map(np.asarray, act(parameters, rows, one))
+            found.append((rows, actions, log_probs, values, *self._step(actions)))
+        last = np.asarray(act(parameters, self.scale.apply(self._rows), key)[2])
         columns = [np.stack(values) for values in zip(*found, strict=True)]
         next_values = np.concatenate([columns[3][1:], last[None]])
         return Rollout(*columns[:4], next_values, *columns[4:])
 
     def _step(self, actions: np.ndarray) -> tuple[np.ndarray, ...]:
-        shape = self._env.action_space.shape
-        observations, _, terminated, truncated, infos = self._env.step(actions.reshape(shape))
         is_valid = ~self._is_over & ~self._is_restarting
-        is_over = infos["robot_over"].reshape(-1)
-        is_late = np.repeat(truncated, ROBOTS)
-        is_terminated = is_valid & is_over
-        is_cut = is_over | is_late | self._is_restarting
-        self.outcomes.extend(infos["robot_success"][terminated | truncated].reshape(-1).tolist())
-        self._rows, self._is_over = self._flatten(observations), is_over
-        self._is_restarting = np.repeat(terminated | truncated, ROBOTS)
-        return infos["robot_rewards"].reshape(-1), is_terminated, is_cut, is_valid
+        stepped = [
+            self._step_env(env, part)
+            for env, part in zip(self._envs, np.split(actions, self._cuts), strict=True)
+        ]
+        observations, *columns = zip(*stepped, strict=True)
+        rewards, is_over, ends = (np.concatenate(one) for one in columns)
+        is_cut = is_over | ends | self._is_restarting
+        self._rows, self._is_over, self._is_restarting = self._flatten(observations), is_over, ends
+        return rewards, is_valid & is_over, is_cut, is_valid
 
-    @staticmethod
-    def _flatten(observations: np.ndarray) -> np.ndarray:
-        return np.asarray(observations.reshape(-1, observations.shape[-1]) / SCALE)
+    def _step_env(self, env: ZensimVectorEnv, actions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Step some worlds; return observations, rewards, robots that are over, ends of worlds."""
+        shape = env.action_space.shape
+        observations, _, terminated, truncated, infos = env.step(actions.reshape(shape))
+        ends = terminated | truncated
+        self.outcomes.extend(infos["robot_success"][ends].reshape(-1).tolist())
+        over = infos["robot_over"].reshape(-1)
+        return observations, infos["robot_rewards"].reshape(-1), over, np.repeat(ends, shape[1])
+
+    def _flatten(self, observations: Sequence[np.ndarray]) -> np.ndarray:
+        rows = np.concatenate([one.reshape(-1, one.shape[-1]) for one in observations])
+        self.scale.add(rows.astype(np.float64))
+        return rows
 
 
 def find_advantages(rollout: Rollout) -> np.ndarray:
@@ -170,7 +211,11 @@ def find_advantages(rollout: Rollout) -> np.ndarray:
 
 
 def learn(
-    parameters: Parameters, moments: Moments, rollout: Rollout, generator: np.random.Generator
+    parameters: Parameters,
+    moments: Moments,
+    rollout: Rollout,
+    generator: np.random.Generator,
+    rate: float,
 ) -> tuple[Parameters, Moments]:
     """Improve the network by one rollout."""
     advantages = find_advantages(rollout)
@@ -183,40 +228,62 @@ def learn(
     )
     flat = [column.reshape(-1, *column.shape[2:]).astype(np.float32) for column in columns]
     for _ in range(EPOCHS):
-        for rows in np.array_split(generator.permutation(len(flat[0])), MINIBATCHES):
-            parameters, moments = improve(parameters, moments, tuple(one[rows] for one in flat))
+        order = generator.permutation(len(flat[0]))
+        order = order[: len(order) // MINIBATCHES * MINIBATCHES]
+        for rows in order.reshape(MINIBATCHES, -1):
+            batch = tuple(one[rows] for one in flat)
+            parameters, moments = improve(parameters, moments, batch, rate)
     return parameters, moments
 
 
 def draw_curve(path: str, curve: list[tuple[float, float]]) -> None:
-    """Draw the share of episodes that succeeded over the steps of robots."""
+    """Draw the share of robots that succeeded over the steps of robots."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - only with --picture
 
     steps, shares = np.array(curve).T
     figure = Figure(figsize=(7.0, 3.5), layout="constrained")
     axes = figure.subplots()
-    axes.plot(steps / 1000.0, 100.0 * shares, color="#1f6feb")
-    axes.set_xlabel("steps of robots, standing ones too [thousand]")
-    axes.set_ylabel("goals reached [%]")
+    axes.plot(steps / 1e6, 100.0 * shares, color="#1f6feb")
+    axes.set_xlabel("steps of robots, standing ones too [million]")
+    axes.set_ylabel("robots that succeeded [%]")
     axes.set_ylim(0.0, 100.0)
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=120)
 
 
-def main() -> None:
-    """Learn, and print the share of robots that reach their goals."""
+def parse_options() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--updates", type=int, default=40)
-    parser.add_argument("--worlds", type=int, default=16)
+    parser.add_argument("task", nargs="?", default="avoid")
+    parser.add_argument("--updates", type=int, default=200)
+    parser.add_argument("--worlds", type=int, default=256)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--picture", default="", help="PNG file of the curve")
-    options = parser.parse_args()
-    env = ZensimVectorEnv(
-        options.worlds, task="reach", count=ROBOTS, spacing=8.0, rate_hz=5.0, time_limit_s=12.0
+    parser.add_argument(
+        "--settings",
+        action="append",
+        help="of ZensimVectorEnv, as JSON; repeatable: equal shares of the worlds have each",
     )
-    collector = Collector(env, options.seed)
+    parser.add_argument("--save", default="", help="file of the policy, .npz")
+    parser.add_argument("--picture", default="", help="PNG file of the curve")
+    return parser.parse_args()
+
+
+def save(path: str, task: str, settings: Any, parameters: Parameters, scale: Scale) -> None:  # noqa: ANN401
+    """Save the policy, without what was needed to train it."""
+    layers = [tuple(np.asarray(one) for one in layer) for layer in parameters["policy"]]
+    spread = scale.mean.astype(np.float32), scale.deviation.astype(np.float32)
+    Policy(task, settings, scale=spread, layers=layers).save(path)
+
+
+def main() -> None:
+    """Train, print the share of robots that succeeded, and save the policy."""
+    options = parse_options()
+    settings = [json.loads(one) for one in options.settings or ["{}"]]
+    worlds = options.worlds // len(settings)
+    envs = [ZensimVectorEnv(worlds, task=options.task, **one) for one in settings]
+    collector = Collector(envs, options.seed)
     key, first = jax.random.split(jax.random.key(options.seed))
-    parameters = make_parameters(first, collector.observed, 2)
+    parameters = make_parameters(first, len(collector.scale.mean), 2)
     zeros = jax.tree.map(jnp.zeros_like, parameters)
     moments = zeros, jax.tree.map(jnp.zeros_like, parameters), jnp.zeros(())
     generator = np.random.default_rng(options.seed)
@@ -224,14 +291,18 @@ def main() -> None:
     for update in range(1, options.updates + 1):
         key, one = jax.random.split(key)
         rollout = collector.collect(parameters, one)
-        parameters, moments = learn(parameters, moments, rollout, generator)
-        if collector.outcomes:
-            share = float(np.mean(collector.outcomes))
-            curve.append((update * rollout.rewards.size, share))
-            spent_s = time.perf_counter() - began_s
-            print(f"update={update} steps={curve[-1][0]} reached={share:.2f} s={spent_s:.0f}")
-    env.close()
-    if options.picture and curve:
+        rate = RATE * max(LEAST_RATE, 1.0 - (update - 1) / options.updates)
+        parameters, moments = learn(parameters, moments, rollout, generator, rate)
+        share = float(np.mean(collector.outcomes)) if collector.outcomes else 0.0
+        curve.append((update * rollout.rewards.size, share))
+        spent_s, reward = time.perf_counter() - began_s, float(rollout.rewards.mean())
+        line = f"update={update} steps={curve[-1][0]} reward={reward:.4f} succeeded={share:.3f}"
+        print(line, f"s={spent_s:.0f}", flush=True)
+    for env in envs:
+        env.close()
+    if options.save:
+        save(options.save, options.task, settings[0], parameters, collector.scale)
+    if options.picture:
         draw_curve(options.picture, curve)
 
 

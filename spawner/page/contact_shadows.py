@@ -15,7 +15,7 @@ GROUND_M: Final = 0.003
 REACH: Final = 0.8
 """How far a patch reaches beyond the robot, in halves of its lesser extent."""
 OPACITY: Final = 0.55
-"""In the middle of a patch."""
+"""Opacity of the middle of a patch."""
 PIXELS: Final = 64
 """Side of its picture."""
 CORNERS: Final = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from zensim.envs.pursuit_task import CatchEvader
     from zensim.envs.reaching_task import ReachGoal
     from zensim.envs.robot_env import ZensimEnv
-    from zensim.envs.robot_task import RobotTask
+    from zensim.envs.robot_task import FleetView, RobotTask
+    from zensim.envs.trained_policy import Policy, load_baseline
     from zensim.envs.vector_env import ZensimVectorEnv
     from zensim.envs.world_streams import WorldStreams
 
@@ -28,15 +29,18 @@ __all__ = [
     "DeliverGoods",
     "EnvKeywords",
     "EnvSettings",
+    "FleetView",
     "FollowFormation",
     "FunctionalEnv",
     "NavigateMaze",
+    "Policy",
     "ReachGoal",
     "RobotTask",
     "WorldStreams",
     "ZensimEnv",
     "ZensimParallelEnv",
     "ZensimVectorEnv",
+    "load_baseline",
     "parallel_env",
 ]
 MODULES = {
@@ -52,7 +56,8 @@ MODULES = {
     "formation_task": ("FollowFormation",),
     "reaching_task": ("ReachGoal",),
     "robot_env": ("ZensimEnv",),
-    "robot_task": ("RobotTask",),
+    "robot_task": ("FleetView", "RobotTask"),
+    "trained_policy": ("Policy", "load_baseline"),
     "vector_env": ("ZensimVectorEnv",),
 }
 """Names by module, which is imported when the first of them is used."""

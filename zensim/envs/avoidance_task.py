@@ -24,7 +24,7 @@ SUCCESS, COLLISION, STEP = 1.0, -2.0, -0.01
 class AvoidEachOther(RobotTask):
     """Reach the place where another robot started, and touch none.
 
-    Places are exchanged around the fleet: robot i goes where robot i + k started, k is drawn.
+    Robots go where the next one started, in an order that is drawn.
     Observation: the goal in the robot's frame x, y [m], forward velocity [m/s], turn [rad/s]; and
     of each of the three nearest robots its position x, y [m] and velocity x, y [m/s] in this
     frame, 20 m ahead where there is none.
@@ -44,9 +44,9 @@ class AvoidEachOther(RobotTask):
 
     def restart(self, worlds: IntArray, view: FleetView, streams: WorldStreams) -> None:
         """See `RobotTask`."""
-        robots = view.poses.shape[1]
-        shifts = 1 + (streams.draw(worlds, 1)[:, 0] * (robots - 1)).astype(np.intp)
-        rows = (np.arange(robots) + shifts[:, None]) % robots
+        order = np.argsort(streams.draw(worlds, view.poses.shape[1]), axis=1)
+        rows = np.empty_like(order)
+        np.put_along_axis(rows, order, np.roll(order, -1, axis=1), axis=1)
         goals = np.take_along_axis(view.poses[worlds, :, :2], rows[..., None], axis=1)
         self._progress.restart(worlds, view.poses, goals)
 

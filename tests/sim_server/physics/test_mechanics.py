@@ -15,10 +15,10 @@ from zensim.proto.se3 import FloatArray, rotate
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import GROUND, Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 
 DT_S = STEP_NS * 1e-9
 G = 9.81
-MUJOCO = next(make for make in PHYSICAL if make.name == "mujoco")
 
 
 @pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
@@ -162,7 +162,7 @@ def test_flat_bodies_rebound_by_their_coefficient(shape: Shape, restitution: flo
     link = msgspec.structs.replace(
         body.links[0], collisions=(msgspec.structs.replace(shape, contact=contact),)
     )
-    with running(MUJOCO) as engine:
+    with running(MujocoEngine) as engine:
         found = find_rebound(engine, msgspec.structs.replace(body, links=(link,)))
 
     assert found == pytest.approx(restitution, rel=0.03)
