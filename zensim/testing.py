@@ -92,7 +92,7 @@ def zensim_world(request: pytest.FixtureRequest) -> Iterator[Simulation]:
     """A paused world in this process, of this test only."""
     from zensim.api.in_process_world import World
 
-    options = read_marker(request.node)
+    options = read_marker(request)
     with World(**{key: value for key, value in options.items() if key != "record"}) as world:
         world.watch_collisions()
         yield from _watch(request.node, world)
@@ -110,7 +110,7 @@ def zensim_server() -> Iterator[Sim]:
 @pytest.fixture
 def zensim_sim(request: pytest.FixtureRequest, zensim_server: Sim) -> Iterator[Simulation]:
     """The server of this session, paused and reset, in the world of this test."""
-    options = read_marker(request.node)
+    options = read_marker(request)
     zensim_server.pause()
     zensim_server.load(options.get("world", "empty"))
     yield from _watch(request.node, zensim_server)
@@ -118,19 +118,27 @@ def zensim_sim(request: pytest.FixtureRequest, zensim_server: Sim) -> Iterator[S
     zensim_server.reset()
 
 
-def read_marker(node: pytest.Item) -> dict[str, Any]:
-    """Return the options of the marker `zensim`.
+def read_marker(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Return the options of all marks `zensim` of a test; those of inner ones count.
 
     Raises:
-        ValueError: An option is unknown.
+        ValueError: An option has no keyword, or the fixture of the request does not know it.
     """
     from zensim.proto.settings.server_settings import WorldKeywords
 
-    marker = node.get_closest_marker("zensim")
-    options = dict(marker.kwargs) if marker else {}
-    known = {"world", "record", *WorldKeywords.__annotations__}
+    chain = request.node.listchain()
+    marks = [mark for one in chain for mark in one.own_markers if mark.name == "zensim"]
+    if values := [value for mark in marks for value in mark.args]:
+        raise ValueError(f"mark zensim: {values[0]!r} has no keyword; use world={values[0]!r}")
+    options = {key: value for mark in marks for key, value in mark.kwargs.items()}
+    known = {"world", "record"}
+    if request.fixturename == "zensim_world":
+        known |= WorldKeywords.__annotations__.keys()
     if unknown := options.keys() - known:
-        raise ValueError(f"mark zensim has no option {sorted(unknown)}; use {sorted(known)}")
+        raise ValueError(
+            f"mark zensim: {request.fixturename} has no option {sorted(unknown)}; "
+            f"it has {sorted(known)}; zensim_world has all keywords of World"
+        )
     return options
 
 

@@ -59,6 +59,37 @@ import pytest
 def test_nothing(zensim_world):
     pass
 """
+MARKED = """
+import pytest
+
+pytestmark = pytest.mark.zensim(seed=1, step_hz=100)
+ENGINES = [
+    pytest.param(one, marks=pytest.mark.zensim(engine=one)) for one in ("mujoco", "pybullet")
+]
+
+@pytest.mark.zensim(world="walls", seed=2)
+class TestWalls:
+    @pytest.mark.zensim(seed=4, engine="pybullet")
+    @pytest.mark.parametrize("engine", ENGINES)
+    def test_options_of_all_marks_count(self, zensim_world, engine):
+        info = zensim_world.info
+        assert (info.engine, zensim_world.seed, info.step_ns) == (engine, 4, 10_000_000)
+        assert zensim_world.entities
+"""
+POSITIONAL = """
+import pytest
+
+@pytest.mark.zensim("walls")
+def test_nothing(zensim_world):
+    pass
+"""
+SERVED = """
+import pytest
+
+@pytest.mark.zensim(world="walls", engine="pybullet")
+def test_nothing(zensim_sim):
+    pass
+"""
 
 
 def run_pytest(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
@@ -133,11 +164,24 @@ def test_scenario_files_are_tests(tmp_path: Path) -> None:
     assert "wrong.scenario.yaml:" in done.stdout
 
 
-def test_an_unknown_option_of_the_marker_is_an_error(tmp_path: Path) -> None:
-    done = run_pytest(tmp_path, UNKNOWN)
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [(UNKNOWN, "'wrld'"), (POSITIONAL, "'walls'"), (SERVED, "'engine'")],
+    ids=["unknown", "without a keyword", "of a world in process, for a server"],
+)
+def test_an_option_that_the_marker_cannot_honour_is_an_error(
+    tmp_path: Path, text: str, named: str
+) -> None:
+    done = run_pytest(tmp_path, text)
 
     assert done.returncode == 1
-    assert "wrld" in done.stdout
+    assert named in done.stdout
+
+
+def test_marks_of_module_class_function_and_parameter_add_up(tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, MARKED)
+
+    assert "2 passed" in done.stdout, done.stdout
 
 
 def test_the_plugin_imports_pytest_only() -> None:
