@@ -427,6 +427,12 @@ class RobotGroup:
         """Set the most time [s] that an update of a drive counts."""
         self._bases.limit_updates(longest_s)
 
+    def log_malformed(self) -> None:
+        """Log refused commands of joints."""
+        for row, control in self._jointed:
+            if report := control.take_malformed_report():
+                LOG.warning("joint_commands entity=%s %s", self._entities[row], report)
+
     def release(self, member: GroupMember) -> None:
         """Undeclare a robot's topics."""
         for topic, topic_member in zip(self._topics, member.topics, strict=False):
@@ -817,9 +823,8 @@ class PooledRobots:
         """Log malformed commands."""
         for key, report in self._commands.take_malformed_reports():
             LOG.warning("cmd_vel key=%s %s", key, report)
-        for member in self._members.values():
-            if member.joints and (report := member.joints.take_malformed_report()):
-                LOG.warning("joint_commands entity=%s %s", member.claim.entity, report)
+        for group in self._groups.values():
+            group.log_malformed()
         log_malformed_commands(self._robots.values())
 
     def _release(self, claim: int) -> str:

@@ -469,6 +469,7 @@ class WorldHost:
         self._answer(only_orders=True)
         self._check_publishers()
         self._loop.make_requested_steps(self._finish_step)
+        self.pool.robots.log_malformed()
 
     def _settle(self) -> None:
         """Let the pool claim new robots, and follow changed claims and resets."""

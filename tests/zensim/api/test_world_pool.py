@@ -1,6 +1,7 @@
 """The pool of a world in its process, and what the loop publishes to it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -10,8 +11,10 @@ from zensim.api.world_pool import POOL, WorldOutput, WorldPool
 from zensim.proto.memory_bus import MemoryBus
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.sensing_messages import Contacts
+from zensim.proto.messages.standard_messages import JointState
 from zensim.proto.topic_catalog import CONTACTS, EVENTS, SCENE_STATE
 
+ARM = Path(__file__).parents[3] / "examples" / "arm" / "arm_bot.urdf"
 EMPTY = DriveState(0, 3, 9, b"", b"", b"", b"")
 
 
@@ -52,6 +55,20 @@ def test_a_state_of_a_new_epoch_resets_the_robots(driven: zensim.World) -> None:
     driven.reset()
 
     assert host.pool.epoch == host.world.clock.epoch == 1
+
+
+def test_a_refused_joint_command_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    with zensim.World() as world:
+        arm = world.spawn(ARM, name="arm")
+        world.step(9)
+
+        arm.topic("joint_commands").put(JointState(name=("nope",), position=(1.0,)))
+        world.step(9)
+        world.step(9)
+
+    (line,) = [one for one in caplog.messages if "joint_commands" in one]
+    assert "entity=arm" in line
+    assert "'nope'" in line
 
 
 def test_states_of_the_pool_are_taken_once_and_those_of_others_are_left_out() -> None:
