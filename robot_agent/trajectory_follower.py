@@ -106,7 +106,7 @@ class TrajectoryFollower:
             read: Reads joints.
             move: Sets their positions.
         """
-        for goal, request in self._goals.take_new():
+        for goal, request in self._goals.take_new(time_ns):
             assert isinstance(request, SendTrajectoryRequest)
             self._start(goal, request, time_ns, read)
         for query, cancel in self._goals.take_cancellations():

@@ -206,7 +206,8 @@ def _run(
     parts, tracker = made
     with ExitStack() as cleanup:
         answers, parameters = _offer_lockstep(config, parts, bus)
-        node = start_server_node(bus, config.ros, parameters, hooks.collector)
+        CONTEXT.read_time_ns = read_time_ns = lambda: parts.world.clock.time_ns
+        node = start_server_node(bus, config.ros, read_time_ns, parameters, hooks.collector)
         cleanup.callback(node.close)
         users = None
         if config.secure_folder:
@@ -217,7 +218,6 @@ def _run(
         status = hooks.status
         loop = ServerLoop(parts, inbox, publisher, HostClock(), tracker, users)
         loop.status, loop.node_answers = status, answers
-        CONTEXT.read_time_ns = lambda: parts.world.clock.time_ns
         engine = choose_engine(config.settings.physics, find_installed_engines())
         metrics = ServerMetrics(parts, engine, loop.request_counts, tracker, config.journal)
         status.sources += [metrics.list_metrics, bus.traffic.list_metrics]

@@ -148,8 +148,12 @@ class ActionGoals:
         for query in self._result_queue.take():
             self._on_get_result(query)
 
-    def take_new(self) -> list[tuple[ActionGoal, msgspec.Struct]]:
-        """Take the new goals with their requests; accept or refuse each."""
+    def take_new(self, time_ns: int) -> list[tuple[ActionGoal, msgspec.Struct]]:
+        """Take the new goals with their requests; accept or refuse each.
+
+        Args:
+            time_ns: Simulation time, their stamp: the clock of the node, as in rcl.
+        """
         found = []
         for query in self._send_queue.take():
             request = decode_query(self._kind.send_goal[0], query)
@@ -158,7 +162,7 @@ class ActionGoals:
             if request is None or not name or name in self._goals:
                 reply_to(query, self._kind.send_goal[1]())
                 continue
-            stamp, result = time_from_ns(time.time_ns()), self._kind.get_result[1]()
+            stamp, result = time_from_ns(time_ns), self._kind.get_result[1]()
             goal = ActionGoal(goal_id, stamp, result, query)
             self._goals[name] = goal
             found.append((goal, request))
@@ -192,7 +196,7 @@ class ActionGoals:
             goal
             for one, goal in self._goals.items()
             if not goal.is_over
-            and (one == name or is_any or 0 < ns_from_time(goal.stamp) <= until_ns)
+            and (one == name or is_any or 0 < until_ns >= ns_from_time(goal.stamp))
         ]
 
     def list_infos(self, names: Sequence[str]) -> tuple[GoalInfo, ...]:

@@ -184,6 +184,7 @@ class PolledNodeServices:
 def start_server_node(
     bus: ServerNetwork,
     settings: RosSettings,
+    read_time_ns: Callable[[], int],
     parameters: NodeParameters | None = None,
     collector: LogCollector | None = None,
 ) -> ServerNode:
@@ -192,6 +193,7 @@ def start_server_node(
     Args:
         bus: Session of the server.
         settings: Of ROS 2.
+        read_time_ns: Reads the simulation time.
         parameters: Of the node.
         collector: With what this process has logged so far; see `Rosout`.
     """
@@ -201,7 +203,9 @@ def start_server_node(
     if node is None:
         return ServerNode((), topics, lambda _: None, graph.close)
     announce_services(node)
-    steps = _make_steps_action(bus, node, topics)
+    queues = serve_action(bus.serve, node, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
+    publishers = advertise_action(topics, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
+    steps = SimulateStepsAction(queues, publishers, read_time_ns)
     services = NodeServices(bus, node.domain, is_bridged=settings.is_bridged)
     services.add(node, parameters)
     rosout = Rosout(bus, graph, collector)
@@ -218,11 +222,3 @@ def start_server_node(
 def _close_node(rosout: Rosout, graph: RosGraph) -> None:
     rosout.close()
     graph.close()
-
-
-def _make_steps_action(
-    bus: ServerNetwork, node: RosNode, topics: TopicFactory
-) -> SimulateStepsAction:
-    queues = serve_action(bus.serve, node, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
-    publishers = advertise_action(topics, action.ACTION_NAME, action.SIMULATE_STEPS_ACTION)
-    return SimulateStepsAction(queues, publishers)

@@ -84,14 +84,19 @@ class SimulateStepsAction:
     """Action server over the services simulate_steps and cancel_steps."""
 
     def __init__(
-        self, queues: Mapping[str, QuerySource], publishers: Mapping[str, ActionTopic]
+        self,
+        queues: Mapping[str, QuerySource],
+        publishers: Mapping[str, ActionTopic],
+        read_time_ns: Callable[[], int],
     ) -> None:
         """Start without goals.
 
         Args:
             queues: One for each of `action_messages.ACTION_SERVICES`.
             publishers: One for each of `action_messages.ACTION_TOPICS`.
+            read_time_ns: Reads the simulation time.
         """
+        self._read_time_ns = read_time_ns
         self._goals = ActionGoals(
             action.SIMULATE_STEPS_ACTION,
             [queues[name] for name in action.ACTION_SERVICES],
@@ -104,7 +109,7 @@ class SimulateStepsAction:
         while self._new:
             self._goals.accept(self._new.pop())  # a refusal would have come before this turn
         calls: list[ServiceCall] = []
-        for goal, request in self._goals.take_new():
+        for goal, request in self._goals.take_new(self._read_time_ns()):
             assert isinstance(request, action.SendGoalRequest)
             self._new.append(goal)
             steps = SimulateStepsRequest(request.goal.steps, goal.name)

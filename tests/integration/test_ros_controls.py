@@ -160,7 +160,7 @@ def publishing(fault: Fault) -> Iterator[Bus]:
     """Publish odometry and reply to services, on a network with a fault."""
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
         bus = cast("Bus", BrokenBus(router, fault))
-        side, is_over = start_server_node(bus, RosSettings()), threading.Event()
+        side, is_over = start_server_node(bus, RosSettings(), lambda: 0), threading.Event()
         odom = side.topics.publisher(RosTopic("r1/odom", Odometry))
         response, message = (
             encode(DeleteEntityResponse(), Format.CDR),

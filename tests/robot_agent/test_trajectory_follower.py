@@ -9,7 +9,7 @@ import pytest
 from tests.fakes import CallList, MemoryCall, PublishedPayloads
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.model_messages import JointController, PositionTolerance
-from zensim.proto.messages.standard_messages import NANOSECONDS, Duration
+from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Time, time_from_ns
 from zensim.proto.ros2.action_messages import (
     CancelCode,
     CancelGoalRequest,
@@ -71,8 +71,8 @@ class ArmFixture:
         goal = msgspec.structs.replace(goal, **tolerances)
         return self.request(0, SendTrajectoryRequest(goal_id, goal))
 
-    def cancel(self, goal_id: GoalId) -> MemoryCall:
-        return self.request(1, CancelGoalRequest(GoalInfo(goal_id)))
+    def cancel(self, goal_id: GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
+        return self.request(1, CancelGoalRequest(GoalInfo(goal_id, stamp)))
 
     def result(self, goal_id: GoalId) -> MemoryCall:
         return self.request(2, GetTrajectoryResultRequest(goal_id))
@@ -171,6 +171,21 @@ def test_canceled_goal_leaves_the_joints_where_they_are() -> None:
     assert [one.goal_id for one in response.goals_canceling] == [FIRST]
     assert ended(asked)[0] == GoalStatusCode.CANCELED
     assert arm.wanted["a"] == pytest.approx(place)
+
+
+def test_goal_has_the_simulation_time_and_is_canceled_by_it() -> None:
+    arm = ArmFixture()
+    sent = arm.send(FIRST, a_point(1, 0.5, 0.5))
+    arm.run(0.5)
+
+    too_early = arm.cancel(GoalId(), Time(1))
+    arm.run()
+    now = arm.cancel(GoalId(), time_from_ns(arm.time_ns))
+    arm.run()
+
+    assert read(sent, SendTrajectoryResponse).stamp == time_from_ns(NANOSECONDS + STEP_NS)
+    assert read(too_early, CancelGoalResponse).goals_canceling == ()
+    assert [one.goal_id for one in read(now, CancelGoalResponse).goals_canceling] == [FIRST]
 
 
 def test_cancel_of_an_unknown_or_ended_goal_says_so() -> None:

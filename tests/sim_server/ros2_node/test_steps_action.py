@@ -13,7 +13,7 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsResponse,
     StepsProgress,
 )
-from zensim.proto.messages.standard_messages import Time, ns_from_time
+from zensim.proto.messages.standard_messages import NANOSECONDS, Time, ns_from_time
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.action_server import (
     CDR_ENCODING,
@@ -40,7 +40,9 @@ class ActionFixture:
             self.server.world.clock.pause()
         self.queues = {name: CallList() for name in action.ACTION_SERVICES}
         self.publishers = {name: PublishedPayloads() for name in action.ACTION_TOPICS}
-        self.action = SimulateStepsAction(self.queues, self.publishers)
+        self.action = SimulateStepsAction(
+            self.queues, self.publishers, lambda: self.server.world.clock.time_ns
+        )
 
     def request(self, name: str, request: msgspec.Struct) -> MemoryCall:
         return self.send(name, encode(request, Format.CDR))
@@ -229,12 +231,14 @@ def stamp_of(sent: MemoryCall) -> Time:
 
 
 def two_goals(fixture: ActionFixture) -> tuple[MemoryCall, MemoryCall]:
-    """Start two goals, the second at a later time."""
+    """Start two goals after some time, the second later than the first."""
+    fixture.server.world.clock.steps = 1000
     first = fixture.begin(FIRST, 10_000)
     fixture.turn(2)
     second = fixture.begin(SECOND, 10_000)
     fixture.turn(2)
-    assert ns_from_time(stamp_of(first)) < ns_from_time(stamp_of(second))
+    times_ns = [ns_from_time(stamp_of(one)) for one in (first, second)]
+    assert NANOSECONDS < times_ns[0] < times_ns[1] <= fixture.server.world.clock.time_ns
     return first, second
 
 
