@@ -70,12 +70,14 @@ class Tolerances:
 
     Attributes:
         path: Of positions, before the end [rad or m].
+        path_velocity: Of velocities, before the end [rad/s or m/s].
         goal: Of positions, at the end.
         stopped: Of velocities at the end [rad/s or m/s].
         goal_time_ns: Time after the end to come within them; 0 = unlimited.
     """
 
     path: tuple[float, ...]
+    path_velocity: tuple[float, ...]
     goal: tuple[float, ...]
     stopped: tuple[float, ...]
     goal_time_ns: int
@@ -287,8 +289,16 @@ def _read_tolerances(goal: TrajectoryGoal, controller: JointController) -> Toler
     path = {name: defaults[name].path for name in names if name in defaults}
     ends = {name: defaults[name].goal for name in names if name in defaults}
     stopped = dict.fromkeys(names, controller.stopped_velocity)
+    path_velocity = dict.fromkeys(names, 0.0)
+    for one in (*goal.path_tolerance, *goal.goal_tolerance):
+        if one.acceleration not in (0.0, ERASED):
+            raise _refuse(
+                f"a tolerance of '{one.name[:80]}' is an acceleration, which no joint measures; "
+                "use 0, and limit position or velocity"
+            )
     for one in goal.path_tolerance:
         _override(path, one.position, one, names)
+        _override(path_velocity, one.velocity, one, names)
     for one in goal.goal_tolerance:
         _override(ends, one.position, one, names)
         _override(stopped, one.velocity, one, names)
@@ -297,6 +307,7 @@ def _read_tolerances(goal: TrajectoryGoal, controller: JointController) -> Toler
         raise _refuse("goal_time_tolerance is negative")
     return Tolerances(
         tuple(path.get(name, 0.0) for name in names),
+        tuple(path_velocity[name] for name in names),
         tuple(ends.get(name, 0.0) for name in names),
         tuple(stopped[name] for name in names),
         time_ns or round(controller.goal_time_s * NANOSECONDS),

@@ -145,7 +145,7 @@ class TrajectoryFollower:
             self._goals.publish_feedback(lambda: _make_feedback(active, progress))
         late_ns = time_ns - trajectory.end_ns
         if late_ns < 0:
-            excess = find_excess(progress.errors.positions, tolerances.path)
+            excess = _find_excess(progress.errors, tolerances.path, tolerances.path_velocity)
             if excess is not None:
                 self._abort_at(excess, progress, TrajectoryCode.PATH_TOLERANCE_VIOLATED)
                 self._hold_at(trajectory.joints, progress.actual, move)
@@ -153,9 +153,7 @@ class TrajectoryFollower:
         move(trajectory.joints, progress.desired.positions)
         if late_ns < 0:
             return
-        excess = find_excess(progress.errors.positions, tolerances.goal)
-        if excess is None:
-            excess = find_excess(progress.errors.velocities, tolerances.stopped)
+        excess = _find_excess(progress.errors, tolerances.goal, tolerances.stopped)
         if excess is None:
             self._end(GoalStatusCode.SUCCEEDED, TrajectoryCode.SUCCESSFUL, "")
         elif 0 < tolerances.goal_time_ns < late_ns:
@@ -198,6 +196,13 @@ def _measure(active: _ActiveGoal, time_ns: int, actual: JointsState) -> _Progres
         tuple(wanted - found for wanted, found in speeds),
     )
     return _Progress(time_ns, desired, actual, errors)
+
+
+def _find_excess(
+    errors: JointsState, positions: Sequence[float], velocities: Sequence[float]
+) -> int | None:
+    excess = find_excess(errors.positions, positions)
+    return find_excess(errors.velocities, velocities) if excess is None else excess
 
 
 def _make_feedback(active: _ActiveGoal, progress: _Progress) -> TrajectoryFeedbackMessage:

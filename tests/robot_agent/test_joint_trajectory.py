@@ -28,7 +28,7 @@ from zensim.robot_agent.joint_trajectory import (
 
 ARM = JointController("arm", ("a", "b"))
 NOW_NS = 10 * NANOSECONDS
-ANY = Tolerances((0.0,), (0.0,), (0.0,), 0)
+ANY = Tolerances((0.0,), (0.0,), (0.0,), (0.0,), 0)
 
 
 def a_waypoint(time_s: float, *columns: float) -> Waypoint:
@@ -128,6 +128,14 @@ def test_goal_begins_now_or_at_its_stamp() -> None:
             TrajectoryCode.INVALID_GOAL,
         ),
         (
+            msgspec.structs.replace(GOOD, path_tolerance=(JointTolerance("a", acceleration=1.0),)),
+            TrajectoryCode.INVALID_GOAL,
+        ),
+        (
+            msgspec.structs.replace(GOOD, goal_tolerance=(JointTolerance("b", acceleration=1.0),)),
+            TrajectoryCode.INVALID_GOAL,
+        ),
+        (
             msgspec.structs.replace(GOOD, goal_time_tolerance=Duration(-1)),
             TrajectoryCode.INVALID_GOAL,
         ),
@@ -172,13 +180,14 @@ def test_tolerances_are_those_of_the_goal_else_of_the_controller() -> None:
     )
     given = msgspec.structs.replace(
         GOOD,
-        path_tolerance=(JointTolerance("a", 0.7), JointTolerance("b", -1.0)),
+        path_tolerance=(JointTolerance("a", 0.7, 0.6, -1.0), JointTolerance("b", -1.0)),
         goal_tolerance=(JointTolerance("b", 0.0, velocity=0.5),),
     )
 
     found = read_goal(given, limited, NOW_NS).tolerances
 
     assert found.path == (0.7, 0.0)
+    assert found.path_velocity == (0.6, 0.0)
     assert found.goal == (0.2, 0.4)
     assert found.stopped == (0.01, 0.5)
     assert found.goal_time_ns == 2 * NANOSECONDS

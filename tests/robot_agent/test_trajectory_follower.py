@@ -227,6 +227,20 @@ def test_joint_that_leaves_its_path_aborts_the_goal() -> None:
     assert arm.wanted["a"] == 0.0
 
 
+@pytest.mark.parametrize(("allowed", "code"), [(0.9, -4), (1.1, 0)])
+def test_joint_that_is_too_slow_or_too_fast_on_its_path_aborts_the_goal(
+    allowed: float, code: int
+) -> None:
+    arm = ArmFixture()  # its joints measure no velocity
+    limits = (JointTolerance("a", velocity=allowed),)
+    arm.send(FIRST, a_point(1, 1.0, 0.0), path_tolerance=limits)
+    asked = arm.result(FIRST)
+
+    arm.run(1.2)
+
+    assert ended(asked)[1] == code
+
+
 def test_joint_that_does_not_reach_the_goal_in_time_aborts_it() -> None:
     controller = JointController(
         "arm", JOINTS, tolerances=(PositionTolerance("a", goal=0.1),), goal_time_s=0.5
