@@ -189,7 +189,9 @@ def _check_versions(info: Info, version: str) -> Finding:
 
 def _check_time(info: Info) -> Finding:
     if info.state != "playing":
-        return Finding("note", "time", f"the simulation is {info.state}", "start it: 'zensim play'")
+        is_empty = info.state == "no_world"
+        advice = "load a world: 'zensim world load NAME'" if is_empty else "start it: 'zensim play'"
+        return Finding("note", "time", f"the simulation is {info.state}", advice)
     target, factor = info.target_real_time_factor, info.real_time_factor
     running = f"real-time factor {factor:.2f}"
     if target > 0.0 and factor < 0.9 * target:

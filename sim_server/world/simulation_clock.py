@@ -41,7 +41,7 @@ def explain_refused_transition(wanted: int, present: State) -> str:
         f"{state.value} ({STATE_NAMES[state]})" for state in sorted(ALLOWED_TRANSITIONS[present])
     )
     if present == State.NO_WORLD:
-        offered += ", or load_world first"
+        offered = f"load_world ('zensim world load NAME') first, or {offered}"
     return (
         f"the simulation is {STATE_NAMES[present]} and cannot become {named}; "
         f"use {offered or 'none'}"

@@ -6,6 +6,8 @@ import pytest
 
 from tests.deploy.cli.commands import assert_failed, run_at
 from tests.integration.processes import Server
+from zensim.deploy.cli.doctor_commands import app as doctor_app
+from zensim.deploy.cli.simulation_commands import app as simulation_app
 from zensim.deploy.cli.world_commands import app
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.simulation_messages import State
@@ -65,6 +67,18 @@ def test_unload_fails_without_a_world(server: Server) -> None:
     assert_failed(second, ExitCode.FAILED, "zensim world unload: ")
     none = run_at(server, app, "current")
     assert_failed(none, ExitCode.FAILED, "zensim world current: ")
+
+
+def test_doctor_and_play_say_how_to_load_a_world_where_there_is_none(server: Server) -> None:
+    run_at(server, app, "unload")
+
+    played = run_at(server, simulation_app, "play")
+    found = run_at(server, doctor_app, "--json").json()
+
+    assert_failed(played, ExitCode.FAILED, "zensim play: ", "'zensim world load")
+    (advice,) = [one["advice"] for one in found if one["what"] == "time"]
+    assert "'zensim world load" in advice
+    assert "play" not in advice
 
 
 @pytest.mark.parametrize(
