@@ -139,19 +139,25 @@ def stats(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     if as_json:
         print_json(found)
         return
-    for name, value in msgspec.structs.asdict(found).items():
-        print_lines(f"{name:<24} {_format_figure(value)}")
+    for name, value in msgspec.to_builtins(found).items():
+        _print_figures(name, value)
 
 
-def _format_figure(value: object) -> str:
+def _print_figures(name: str, value: object) -> None:
+    """Print a figure, or a row for each one in it."""
     match value:
+        case {"wall_s": _, **others}:
+            # The host's clock has any origin: it only means something for two readings.
+            _print_figures(name, others)
+        case dict() if value:
+            for part, one in value.items():
+                _print_figures(f"{name}.{part}", one)
+        case dict() | list() | tuple():
+            print_lines(f"{name:<24} {', '.join(map(str, value)) or '-'}")
         case float():
-            return f"{value:.6g}"
-        case dict():
-            return ", ".join(f"{name} {_format_figure(one)}" for name, one in value.items()) or "-"
-        case tuple():
-            return ", ".join(map(str, value)) or "-"
-    return str(value)
+            print_lines(f"{name:<24} {value:.6g}")
+        case _:
+            print_lines(f"{name:<24} {value}")
 
 
 def _enum_name(kind: type[IntEnum], number: int) -> str:
