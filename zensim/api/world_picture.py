@@ -14,6 +14,7 @@ import numpy.typing as npt
 from zensim.api.api_errors import Unsupported
 from zensim.api.world_access import WorldAccess, api_errors
 from zensim.api.world_state import POSE, FloatArray, WorldState
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.sensor_messages import CameraSensor
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.sim_server.scene.camera_images import CamerasUnavailable
@@ -69,6 +70,8 @@ def take_picture(access: WorldAccess, camera: CameraSensor = CAMERA) -> bytes:
         ServiceError: The server refused to describe its entities.
     """
     models = ServiceClient(access, access.world_name).models()
+    shown_models = tuple(map(_show_collisions, models.models))
+    models = msgspec.structs.replace(models, models=shown_models)
     state, roster = access.refresh(), SceneRoster(models, None)
     meshes = SceneMeshes(access, access.world_name)
     meshes.fetch(roster.visual_meshes)
@@ -80,6 +83,16 @@ def take_picture(access: WorldAccess, camera: CameraSensor = CAMERA) -> bytes:
     )
     shown = view.find_renderer(moment).render(camera, _choose_view(models, state, camera))
     return encode_png(shown.rgb)
+
+
+def _show_collisions(model: Model) -> Model:
+    """Make the collisions of a model without visuals visible."""
+    if any(link.visuals for link in model.links):
+        return model
+    replace = msgspec.structs.replace
+    return replace(
+        model, links=tuple(replace(link, visuals=link.collisions) for link in model.links)
+    )
 
 
 def make_picture(access: WorldAccess, width: int, height: int) -> WorldPicture:

@@ -14,6 +14,10 @@ from zensim.sim_server.scene.camera_images import CamerasUnavailable
 from zensim.sim_server.sensors.camera_sensors import ViewedScene
 
 WIDTH, HEIGHT = 320, 200
+BOX = """<robot name="box"><link name="base_link">VISUAL
+<collision><geometry><box size="1 1 1"/></geometry></collision>
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link></robot>"""
 HEAD_BYTES = 41
 """Of a PNG file, before its compressed rows."""
 
@@ -44,6 +48,19 @@ def test_picture_shows_all_robots_within_its_edges(world: zensim.World) -> None:
     assert columns.min() > 0
     assert columns.max() < WIDTH - 1
     assert max(np.ptp(rows) / HEIGHT, np.ptp(columns) / WIDTH) > 0.5
+
+
+@pytest.mark.parametrize(
+    "visual", ["", "<visual><geometry><box size='1 1 1'/></geometry></visual>"]
+)
+def test_picture_shows_a_robot_with_or_without_visuals(tmp_path: Path, visual: str) -> None:
+    file = tmp_path / "box.urdf"
+    file.write_text(BOX.replace("VISUAL", visual))
+    with zensim.World() as world:
+        world.spawn(file)
+        pixels = read_pixels(world.picture(width=WIDTH, height=HEIGHT))
+
+    assert len(np.unique(pixels[80:120, 140:180].reshape(-1, 3), axis=0)) > 1
 
 
 def test_picture_is_saved_as_a_png_file(world: zensim.World, tmp_path: Path) -> None:
