@@ -48,9 +48,12 @@ from zensim.proto.printable_text import print_lines
 from zensim.proto.process_memory import limit_malloc_arenas
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.rmw_keys import parse_domain
+from zensim.proto.security.role_checks import require_role
+from zensim.proto.security.roles import Operation, User
 from zensim.proto.served_status import served_status
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.topic_catalog import CLOCK
 from zensim.proto.verbosity import (
     CURRENT,
     configure_logging,
@@ -71,7 +74,7 @@ from zensim.recording.recording_session import (
     SessionSettings,
     make_start,
 )
-from zensim.recording.topic_selection import TopicFilter, TopicSelection
+from zensim.recording.topic_selection import TopicFilter, TopicSelection, list_keys
 
 app = make_app()
 
@@ -432,12 +435,16 @@ class RecordProgram:
 
         Raises:
             OSError: It exists, or cannot be created.
-            BusError: No server of the world replies.
+            BusError, ServiceError: No server replies, or the role may not read what is chosen.
         """
         self._bus = bus
         self._path = settings.parts.path
         self._start = make_start(bus, recorder_settings)
-        info = self._start.info
+        info, world = self._start.info, recorder_settings.world
+        user = User(bus.user, info.role)
+        require_role(user, world, Operation.QUERY, CLOCK.key(world))
+        wanted = list_keys(chosen, world, recorder_settings.domain)
+        require_role(user, world, Operation.SUBSCRIBE, *wanted)
         recorder_settings = msgspec.structs.replace(recorder_settings, step_ns=info.step_ns)
         self._session = RecordingSession(settings, self._start)
         try:

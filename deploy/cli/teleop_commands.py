@@ -14,6 +14,8 @@ from zensim.proto.options.command_options import ConnectionOptions, JsonOption, 
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.raw_terminal import RawTerminal, open_signals
+from zensim.proto.security.role_checks import require_access
+from zensim.proto.security.roles import Operation
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.verbosity import CURRENT, print_announcement, print_note
 from zensim.spawner.client.sim_client import SimClient
@@ -130,6 +132,8 @@ def _advertise(client: SimClient, patterns: list[str] | tuple[str, ...]) -> list
     """
     models = client.models()
     chosen = select_robots(models, [pattern.strip("/") for pattern in patterns])
+    wanted = [CMD_VEL.key(robot.namespace) for robot in chosen]
+    require_access(client.bus, client.world, Operation.PUBLISH, *wanted)
     return [_advertise_robot(client, models, robot) for robot in chosen]
 
 

@@ -36,6 +36,8 @@ from zensim.proto.options.command_options import ConnectionOptions, JsonOption, 
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.schema import list_messages
+from zensim.proto.security.role_checks import require_access
+from zensim.proto.security.roles import Operation
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
 from zensim.proto.verbosity import print_announcement, print_note
 from zensim.spawner.client.sim_client import SimClient
@@ -201,6 +203,7 @@ def drive(
         if not rate > 0:
             raise ValueError(f"--rate must be positive, got {rate:g}")
         key = CMD_VEL.key(robot.strip("/"))
+        require_access(client.bus, client.world, Operation.PUBLISH, key)
         publisher = client.bus.advertise(key, CMD_VEL.encoding)
         await_driver(client, publisher, robot.strip("/"))
         text = f"{key} at {linear:g} m/s, {angular:g} rad/s"
@@ -264,6 +267,7 @@ def echo(
     with open_client("echo", server) as client:
         limit = 1 if once else count
         bare, printed = key.strip("/"), 0
+        require_access(client.bus, client.world, Operation.SUBSCRIBE, bare)
         subscription = client.bus.subscribe_copying(bare, QUEUE_DEPTH)
         # tf_static and robot_description are published once, before this command started.
         reader = TopicReader(subscription, keep_raw, first=get_last_messages(client.bus, bare))
@@ -353,6 +357,7 @@ def measure_topic(
         measure: Makes the figures after a second with messages; None if those are too few.
     """
     key = given.key.strip("/")
+    require_access(client.bus, client.world, Operation.SUBSCRIBE, key)
     reader = TopicReader(client.bus.subscribe_copying(key, QUEUE_DEPTH), keep_raw)
     end = time.monotonic() + (given.duration or math.inf)
     report_at, has_new = min(time.monotonic() + 1.0, end), False

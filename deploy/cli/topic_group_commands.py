@@ -47,6 +47,8 @@ from zensim.proto.options.command_options import (
 )
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
+from zensim.proto.security.role_checks import require_access
+from zensim.proto.security.roles import Operation
 from zensim.proto.topic_catalog import CLOCK, ROBOT_TOPICS
 from zensim.proto.topic_discovery import TopicEndpoint
 from zensim.proto.verbosity import CURRENT, print_note
@@ -259,10 +261,10 @@ def pub(
     with open_client("topic pub", server) as client:
         if "*" in key:
             raise ValueError(f"'{key}' is of many topics; publish on one, such as r1/cmd_vel")
-        name = key.strip("/")
-        message = make_message(name, message_type, values)
+        message = make_message(name := key.strip("/"), message_type, values)
         if not rate > 0:
             raise ValueError(f"--rate must be positive, got {rate:g}")
+        require_access(client.bus, client.world, Operation.PUBLISH, name)
         publisher = client.bus.advertise(name, make_encoding(message, Format.CDR))
         if not wait_for_subscriber(publisher):
             print_note("topic pub", f"nothing subscribes to {name}")

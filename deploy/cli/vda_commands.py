@@ -19,7 +19,10 @@ from zensim.proto.options.command_options import ConnectionOptions, JsonOption
 from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.process_limits import raise_file_limit
+from zensim.proto.security.role_checks import require_access
+from zensim.proto.security.roles import Operation
 from zensim.proto.stop_signal import StopFlag
+from zensim.proto.topic_catalog import TWISTS
 from zensim.proto.verbosity import configure_logging, print_note
 
 if TYPE_CHECKING:
@@ -137,6 +140,8 @@ def _serve(given: VdaOptions) -> None:
         settings,
     )
     with open_bus(BusConfig(connect=(given.connect or DEFAULT_ENDPOINT,))) as bus:
+        twists = TWISTS.key(given.world_name)
+        require_access(bus, given.world_name, Operation.PUBLISH, twists)
         links = BrokerLinks(
             address,
             topic_root=f"{interface}/v{options.major}/{settings.manufacturer}",

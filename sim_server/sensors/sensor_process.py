@@ -30,6 +30,8 @@ from zensim.proto.poll_schedule import PollSchedule
 from zensim.proto.program_status import CLIENT_TURN_S, ProgramStatus, make_program_status
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.rosout import Rosout
+from zensim.proto.security.role_checks import require_access
+from zensim.proto.security.roles import Operation
 from zensim.proto.sensor_libraries import (
     Library,
     find_missing_libraries,
@@ -582,6 +584,8 @@ def start_sensor_process(config: SensorProcessConfig) -> None:
     ):
         status.sources.append(bus.traffic.list_metrics)
         name = bus.user or config.name or f"sensors_{uuid.uuid4().hex[:8]}"
+        token = keys.alive_sensors(config.world, name)
+        require_access(bus, config.world, Operation.DECLARE_TOKEN, token)
         # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False, on_stop=status.drain)

@@ -32,6 +32,7 @@ from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_errors import BusError, EndpointUnreachable, JoinRefused, NoServer
 from zensim.proto.bus.bus_session import Bus, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.exit_codes import ExitCode
 from zensim.proto.join_tokens import parse_join_token
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ServiceError
@@ -216,6 +217,39 @@ def test_python_client_is_denied_what_the_router_drops_without_a_reply(secured: 
             refusals.append(denied.value.slug)
 
     assert set(refusals) == {DENIED}
+
+
+@pytest.mark.parametrize(
+    ("role", "command", "denied"),
+    [
+        ("observer", "drive r1 0.3 0 --duration 1", "publish on r1/cmd_vel"),
+        ("observer", "topic pub --once r1/cmd_vel {}", "publish on r1/cmd_vel"),
+        ("observer", "sensors run", "declare the token sim/default/alive/sensors/observer"),
+        ("observer", "vda5050 --broker mqtt://127.0.0.1:1", "publish on sim/default/twists"),
+        ("spawner", "echo r1/odom --timeout 1", "subscribe to r1/odom"),
+        ("spawner", "topic hz */odom --duration 1", "subscribe to */odom"),
+        ("spawner", "record --all --duration 1", "subscribe to **"),
+        ("pool", "echo r1/odom --timeout 1", "subscribe to r1/odom"),
+        ("pool", "record --all --duration 1", "query sim/default/clock"),
+    ],
+)
+def test_command_says_what_the_router_drops_without_a_reply(
+    secured: Secured,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    role: str,
+    command: str,
+    denied: str,
+) -> None:
+    monkeypatch.setenv("ZENSIM_TOKEN", secured.token(role))
+    output = ("--output", str(tmp_path / "bag")) if command.startswith("record") else ()
+
+    result = run_zensim(*command.split(), *output)
+
+    assert result.returncode == ExitCode.FAILED, result.stderr
+    assert f"{DENIED}: role '{role}' of user '{role}' may not {denied}" in result.stderr
+    assert "use a token of role " in result.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_agent_is_told_that_its_role_cannot_use_the_api(secured: Secured) -> None:

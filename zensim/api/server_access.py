@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.api.api_errors import Closed, ConnectionLost, Denied, Timeout
+from zensim.api.api_errors import Closed, ConnectionLost, Timeout
 from zensim.api.call_deadline import LEAST_S, limit
 from zensim.api.step_channel import StepChannel
-from zensim.api.world_access import Message, WorldAccess
+from zensim.api.world_access import Message, WorldAccess, api_errors
 from zensim.api.world_state import WorldState, make_world_state
 from zensim.proto import keys
 from zensim.proto.bus.bus_errors import NoServer
@@ -29,7 +29,8 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsResponse,
 )
 from zensim.proto.messages.telemetry_messages import InfoRequest, Snapshot
-from zensim.proto.security.roles import ROLES, Operation, User, list_keys
+from zensim.proto.security.role_checks import require_role
+from zensim.proto.security.roles import Operation, User
 from zensim.proto.service_catalog import (
     INFO,
     JOIN_LOCKSTEP,
@@ -63,14 +64,6 @@ TOKEN_TIMEOUT_S = 2.0
 CALL_TIMEOUT_S = 10.0
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
-
-
-DOES = {
-    Operation.PUBLISH: "publish on",
-    Operation.SUBSCRIBE: "subscribe to",
-    Operation.QUERY: "query",
-    Operation.DECLARE_TOKEN: "declare the token",
-}
 
 
 class ServerAccess(WorldAccess):
@@ -416,17 +409,8 @@ class ServerAccess(WorldAccess):
         Raises:
             Denied: The role does not permit it.
         """
-        role = ROLES.get(self.role)
-        if role is None:
-            return
-        user = User(self.bus.user, self.role)
-        granted = list_keys(user, operation, world=self.world_name, domain=None)
-        is_of_a_robot = role.has_robots and not key.startswith("sim/")
-        if not is_of_a_robot and not any(keys.intersect(one, key) for one in granted):
-            raise Denied(
-                f"role '{self.role}' of user '{user.name}' may not {DOES[operation]} {key}",
-                hint="use a token of another role: 'zensim token create --role operator'",
-            )
+        with api_errors():
+            require_role(User(self.bus.user, self.role), self.world_name, operation, key)
 
     def _retry_early(self, call: Callable[[], Response]) -> Response:
         """Repeat a call while the server has not received the token of this client."""
