@@ -97,7 +97,7 @@ def foxglove(given: FoxgloveOptions) -> None:
             raise MissingFoxgloveExtra(
                 f"{EXTRA} is not installed; use pip install 'zensim[foxglove]'"
             )
-        _serve(given, given.make_access("zensim foxglove", given.host))
+        _serve(given, given.make_access("zensim foxglove", given.host, given.connect))
 
 
 def _serve(given: FoxgloveOptions, access: PageAccess) -> None:

@@ -112,7 +112,7 @@ def serve_page(given: ViewOptions, open_source: SourceOpener, stop: StopFlag) ->
         OSError: A port or a file cannot be used.
     """
     check_name(given.world_name, "world")
-    access = given.make_access("zensim view", given.host)
+    access = given.make_access("zensim view", given.host, given.connect)
     try:
         from zensim.spawner.page.viewer_loop import Viewer
         from zensim.spawner.page.viewer_page import ViewerPage

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from zensim.proto.join_tokens import complete_address, is_join_address
 from zensim.proto.web_access import (
     TOKEN_NAME,
     PageAccess,
@@ -47,12 +48,13 @@ class AccessOptions:
         ),
     ] = None
 
-    def make_access(self, command: str, host: str) -> PageAccess:
+    def make_access(self, command: str, host: str, address: str) -> PageAccess:
         """Make the access to what is served.
 
         Args:
             command: To type, with its verb.
             host: Address to serve.
+            address: Of the server; who is served acts as the user of its join token.
 
         Raises:
             Exposed: It would be open to other hosts, and no option permits it.
@@ -66,7 +68,8 @@ class AccessOptions:
             is_secure=self.secure,
             is_insecure=self.insecure,
         )
-        token = read_page_token(self.page_token) if self.secure else ""
+        is_joined = is_join_address(complete_address(address)) and not self.insecure
+        token = read_page_token(self.page_token) if self.secure or is_joined else ""
         return PageAccess(token, str(self.certificate or ""), str(self.key or ""))
 
     def write_address(self, what: str, url: str) -> str:

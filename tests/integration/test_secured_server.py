@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import msgspec
 import numpy as np
@@ -53,6 +56,7 @@ from zensim.proto.service_catalog import (
     SPAWN_ENTITY,
 )
 from zensim.proto.topic_catalog import AUDIT, CMD_VEL, DRIVE_COMMAND, DRIVE_STATE, ODOM, TF
+from zensim.proto.web_access import name_cookie, split_token
 from zensim.sim_server.security import certificates
 from zensim.sim_server.security.secure_folder import (
     Account,
@@ -434,12 +438,27 @@ def test_page_has_the_controls_that_its_role_may_use(
     secured: Secured, role: str, *, acts: bool
 ) -> None:
     view = ("view", "--connect", secured.token(role), "--world-name", WORLD, "--port", "0")
-    with running(*view) as process:
-        assert process.stdout is not None
-        with PageUser(process.stdout.readline().split()[-1]) as user:
+    with running(*view, "--json") as process:
+        url, token = split_token(str(read_json_line(process)["viewer"]))
+        cookie = f"{name_cookie(urlsplit(url).port or 0)}={token}"
+        with PageUser(url, cookie=cookie) as user:
             user.control("Run to this time" if acts else "Collision shapes")  # of the last tab
 
             assert ({"Spawn", "Stop all"} <= user.list_labels()) == acts
+
+
+@pytest.mark.parametrize("program", ["view", "foxglove"])
+def test_page_of_a_join_token_needs_a_token_of_its_own(secured: Secured, program: str) -> None:
+    options = ("--join", secured.token("operator"), "--port", "0", "--json")
+    with running(program, *options) as process:
+        (url,) = read_json_line(process).values()
+        bare, token = split_token(str(url))
+        with pytest.raises(HTTPError) as refused:
+            urlopen(bare.replace("ws://", "http://"), timeout=WITHIN_S)
+        refused.value.close()
+
+    assert token
+    assert refused.value.code == 401
 
 
 def test_audit_has_joins_and_changes_of_each_user(secured: Secured) -> None:

@@ -1,5 +1,7 @@
 """WorldPage: the 3D page of a world, served by a process of its own."""
 
+import json
+
 from zensim.api.program_thread import ProgramThread
 from zensim.proto.printable_text import to_html
 from zensim.proto.supervisor import TERMINATE_TIMEOUT_S
@@ -19,10 +21,11 @@ class WorldPage:
         """Serve the page; see `Sim.show`."""
         arguments = (
             *("view", "--connect", endpoint, "--world-name", world),
-            *("--port", str(port), "--no-open"),
+            *("--port", str(port), "--no-open", "--json"),
         )
         self._program = ProgramThread("page", arguments, TERMINATE_TIMEOUT_S)
-        self.url = self._program.read_line(timeout_s, "the page is not served").split()[-1]
+        line = self._program.read_line(timeout_s, "the page is not served")
+        self.url = str(json.loads(line)["viewer"])
 
     def close(self) -> None:
         """End the page; may be repeated."""
