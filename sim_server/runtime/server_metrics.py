@@ -1,7 +1,6 @@
 """Metrics of a server, read from the counters of its loop when they are asked for."""
 
 import os
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -56,22 +55,20 @@ class ServerMetrics:
 
     def _list_world(self) -> Iterator[MetricFamily]:
         world = self.parts.world
-        kinds = Counter(
-            ("object",) if entity.model.drive is None else ("robot",)
-            for entity in tuple(world.entities.by_name.values())
-        )
+        entities = tuple(world.entities.by_name.values())
+        robots = [one.name for one in entities if one.model.drive is not None]
         counts: dict[tuple[str, ...], float] = {
-            ("robot",): kinds[("robot",)],
-            ("object",): kinds[("object",)],
+            ("robot",): len(robots),
+            ("object",): len(entities) - len(robots),
         }
         yield make_labelled("zensim_entities", "gauge", "Entities by kind.", counts, "kind")
         yield make_labelled(
             "zensim_engine_info", "gauge", "Physics engine.", {(self.engine,): 1}, "engine"
         )
-        yield make_gauge("zensim_claimed_robots", "Robots with an agent.", len(world.claims))
-        yield make_gauge(
-            "zensim_driven_robots", "Robots whose agent sends commands.", world.claims.driven
-        )
+        claimed = sum(world.claims.agent_of(name) != "" for name in robots)
+        yield make_gauge("zensim_claimed_robots", "Robots with an agent.", claimed)
+        driven = sum(world.claims.is_driven(name) for name in robots)
+        yield make_gauge("zensim_driven_robots", "Robots whose agent sends commands.", driven)
         yield make_gauge("zensim_agents", "Agents on the network.", len(self.parts.agents.alive))
         yield make_gauge(
             "zensim_sensor_processes",

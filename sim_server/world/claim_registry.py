@@ -151,6 +151,13 @@ class ClaimRegistry:
         record = self._claims.get(name)
         return record.agent if record else ""
 
+    def is_driven(self, name: str) -> bool:
+        """Whether the agent of an entity has sent a command since it has the entity."""
+        if (record := self._claims.get(name)) is None:
+            return False
+        driven = self._driven.get(record.agent)
+        return driven is not None and record.claim <= driven.newest
+
     def require_free(self, name: str, agent: str) -> None:
         """Check that no other agent drives an entity, silent ones aside.
 

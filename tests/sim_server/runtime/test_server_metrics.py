@@ -5,7 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from tests.sim_server.fakes import ServerFixture, a_server
+from tests.models import a_cart
+from tests.sim_server.fakes import ServerFixture, a_server, a_spawn
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.sim_server.runtime.request_counts import NAMES
@@ -92,6 +93,19 @@ def test_commands_are_counted_against_those_due() -> None:
     assert found["zensim_commands_taken_total",] == 1
     assert found["zensim_commands_due_total",] == pytest.approx(120, abs=3)
     assert found["zensim_commands_least_share",] == pytest.approx(1 / 80, abs=0.01)
+
+
+def test_claimed_objects_do_not_count_as_robots_with_an_agent() -> None:
+    server = a_server("r1", "r2")
+    server.world.spawn(a_spawn("camera", model=msgspec.structs.replace(a_cart(), drive=None)))
+    server.world.claim("a", ("r1", "camera"), "stop")
+    server.drive("a", *[0.0] * server.world.claimed_by_agent()["a"].target_count)
+
+    server.turn_for(0.1)
+
+    found = read(server)
+    assert (found["zensim_entities", "robot"], found["zensim_entities", "object"]) == (2, 1)
+    assert (found["zensim_claimed_robots",], found["zensim_driven_robots",]) == (1, 1)
 
 
 def test_number_of_series_does_not_depend_on_robots() -> None:
