@@ -91,7 +91,7 @@ def make_password() -> bytes:
 
 def is_join_address(address: str) -> bool:
     """Whether an address is a join token, or `@FILE` with one, and not an endpoint."""
-    return address.startswith((f"{PREFIX}.", "@"))
+    return address.startswith((PREFIX, "@"))
 
 
 def read_join_address(address: str) -> JoinToken:
@@ -209,7 +209,7 @@ def parse_join_token(text: str) -> JoinToken:
 
 def hide_token(address: str) -> str:
     """Return what may be printed of an address: the endpoint of a token, else the address."""
-    if not address.startswith(f"{PREFIX}."):
+    if not address.startswith(PREFIX):
         return address
     try:
         return parse_join_token(address).endpoint

@@ -5,6 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from zensim.proto.bus.bus_config import BusConfig
+from zensim.proto.bus.bus_session import open_bus
 from zensim.proto.join_tokens import (
     InvalidToken,
     JoinToken,
@@ -35,6 +37,11 @@ def test_token_is_parsed_as_it_was_written(token: JoinToken) -> None:
 
 def test_token_is_short() -> None:
     assert len(TOKEN.write()) <= MAX_CHARACTERS
+
+
+def test_damaged_start_of_a_token_is_not_taken_for_an_endpoint() -> None:
+    with pytest.raises(InvalidToken, match="join token"):
+        open_bus(BusConfig(connect=("zs1garbage",)))
 
 
 @pytest.mark.parametrize(
