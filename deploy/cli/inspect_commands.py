@@ -149,6 +149,7 @@ def format_world(one: "WorldInspection") -> list[str]:
     static = [model for model in one.models if model.is_static]
     free = [model for model in one.models if not model.is_static]
     step = f"step {one.step_s:g} s" if one.step_s else "default step"
+    factor = "default" if one.real_time_factor is None else f"{one.real_time_factor:g}"
     gravity = " ".join(f"{value:g}" for value in one.gravity)
     lines = [
         f"{one.name}: {one.file}",
@@ -157,7 +158,7 @@ def format_world(one: "WorldInspection") -> list[str]:
         f"moving models: {len(free)} {_list_names([model.name for model in free])}".rstrip(),
         f"lights: {_list_names(one.lights) or 'none'}",
         f"frames: {_list_names(one.frames) or 'none'}",
-        f"physics: {step}, gravity {gravity} m/s^2, "
+        f"physics: {step}, real-time factor {factor}, gravity {gravity} m/s^2, "
         f"{'ground plane' if one.has_ground else 'no ground plane'}",
     ]
     if one.settle_s:
@@ -178,7 +179,8 @@ def _format_motion(one: "WorldInspection") -> list[str]:
     if not one.moving:
         return [*overlaps, f"{head}all models stand still"]
     return [*overlaps, f"{head}{len(one.moving)} models move"] + [
-        f"  {model.name}: {model.moved_m:.4f} m away, {model.speed_mps:.4f} m/s"
+        f"  {model.name}: {model.moved_m:.4f} m away, {model.speed_mps:.4f} m/s, "
+        f"joints {model.joint_speed:.4f} rad/s or m/s"
         for model in one.moving[:MAX_LISTED]
     ]
 

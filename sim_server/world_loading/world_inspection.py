@@ -49,6 +49,8 @@ WORLD_SUFFIXES = (".world", ".sdf")
 _WORLD_TAG = re.compile(r"<world[\s>]")
 MOVING_MPS = 1e-3
 """A model that is faster than this at the end of the check is moving."""
+MOVING_JOINT = 1e-2
+"""A model with a joint that is faster than this [rad/s or m/s] is moving."""
 MOVED_M = 1e-6
 """A static model that is further away than this has moved."""
 TIMEOUT_S = 120.0
@@ -63,7 +65,7 @@ class InspectionRequest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class InspectedModel(msgspec.Struct, frozen=True):
-    """A model of a world; `moved_m` and `speed_mps` are those at the end of the check."""
+    """A model of a world; its motion is that at the end of the check."""
 
     name: str
     is_static: bool
@@ -72,11 +74,14 @@ class InspectedModel(msgspec.Struct, frozen=True):
     position: Vec3
     moved_m: float = 0.0
     speed_mps: float = 0.0
+    joint_speed: float = 0.0
+    """Of the fastest joint [rad/s or m/s]."""
 
     @property
     def is_moving(self) -> bool:
         """Whether the model did not stand still."""
-        return self.speed_mps > MOVING_MPS or (self.is_static and self.moved_m > MOVED_M)
+        has_moved = self.is_static and self.moved_m > MOVED_M
+        return self.speed_mps > MOVING_MPS or self.joint_speed > MOVING_JOINT or has_moved
 
 
 class WorldInspection(msgspec.Struct, frozen=True, kw_only=True):
@@ -195,7 +200,8 @@ def watch_models(
         before = _read_bases(world)
         for _ in range(round(request.settle_s * 1e9 / config.step_ns)):
             world.step()
-        models = tuple(_add_motion(found.models, before, _read_bases(world)))
+        joints = _read_joint_speeds(world)
+        models = tuple(_add_motion(found.models, before, _read_bases(world), joints))
     return msgspec.structs.replace(
         found,
         models=models,
@@ -227,8 +233,17 @@ def _read_bases(world: SimulatedWorld) -> dict[str, FloatArray]:
     return dict(zip(world.entities.index.names, np.array(world.states().base), strict=True))
 
 
+def _read_joint_speeds(world: SimulatedWorld) -> dict[str, float]:
+    index, speeds = world.entities.index, np.abs(world.states().joint_velocities)
+    ends = zip(index.names, index.joint_start, index.joint_count, strict=True)
+    return {name: float(speeds[at : at + count].max(initial=0.0)) for name, at, count in ends}
+
+
 def _add_motion(
-    models: Iterable[InspectedModel], before: dict[str, FloatArray], after: dict[str, FloatArray]
+    models: Iterable[InspectedModel],
+    before: dict[str, FloatArray],
+    after: dict[str, FloatArray],
+    joint_speeds: dict[str, float],
 ) -> Iterator[InspectedModel]:
     for model in models:
         old, new = before[model.name], after[model.name]
@@ -236,6 +251,7 @@ def _add_motion(
             model,
             moved_m=float(np.linalg.norm(new[:3] - old[:3])),
             speed_mps=float(np.linalg.norm(new[7:10])),
+            joint_speed=joint_speeds[model.name],
         )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.sim_server.world_loading.test_world_loader import CRATE, a_file
+from zensim.deploy.cli.inspect_commands import format_world
 from zensim.proto.engine_proofs import EngineName
 from zensim.proto.messages.model_messages import ReportEntry
 from zensim.proto.settings.engine_settings import EngineSettings
@@ -49,6 +50,24 @@ def test_model_that_keeps_falling_is_named(tmp_path: Path, engine: EngineName) -
     found = inspect(a_file(tmp_path, rests + falls), engine, 0.5)
 
     assert [model.name for model in found.moving] == ["falls"]
+
+
+@pytest.mark.parametrize("engine", find_installed_engines())
+def test_pendulum_that_swings_moves_and_is_printed(tmp_path: Path, engine: EngineName) -> None:
+    joint = (
+        "<joint name='j' type='revolute'><parent>world</parent><child>arm</child>"
+        "<pose>0.7 0 0 0 0 0</pose><axis><xyz>0 1 0</xyz></axis></joint>"
+    )
+    body = "<pose>0 0 5 0 0 0</pose><link name='arm'><inertial><mass>1</mass></inertial>" + SOLID
+    physics = "<physics><real_time_factor>0.5</real_time_factor></physics>"
+
+    found = inspect(
+        a_file(tmp_path, f"{physics}<model name='pendulum'>{body}{joint}</model>"), engine, 0.3
+    )
+
+    assert [model.name for model in found.moving] == ["pendulum"]
+    assert found.moving[0].joint_speed > 1.0
+    assert "real-time factor 0.5" in "".join(format_world(found))
 
 
 @pytest.mark.parametrize("engine", find_installed_engines())
