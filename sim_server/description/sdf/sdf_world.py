@@ -246,6 +246,7 @@ def read_world(
     _apply_builtin_includes(world, draft)
     IncludeExpander(resolve, report, allow_missing=allow_missing).expand(world)
     rename_repeated(world, report)
+    _choose_physics(world, report)
     check_element(world, WORLD, "world", report)
     _add_frames(world, draft)
     for child in _list_read(world):
@@ -255,6 +256,17 @@ def read_world(
     if not draft.world.ground_plane and not any(map(_is_support, draft.models)):
         report.suspicious("world", "no ground_plane; robots will fall")
     return msgspec.structs.replace(draft.world, models=tuple(draft.models), report=report.entries())
+
+
+def _choose_physics(world: Element, report: ParseReport) -> None:
+    """Remove the <physics> besides that with default="true", if one has it."""
+    listed = world.findall("physics")
+    chosen = [one for one in listed if one.get("default") in ("true", "1")][:1]
+    if chosen and len(listed) > 1:
+        report.suspicious("physics", "given more than once; the one with default='true' is used")
+        for one in listed:
+            if one is not chosen[0]:
+                world.remove(one)
 
 
 def _list_read(world: Element) -> Iterator[Element]:

@@ -291,6 +291,16 @@ def test_physics_settings_are_read(physics: str, settings: PhysicsSettings) -> N
     assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).physics == settings
 
 
+def test_default_of_several_physics_is_used() -> None:
+    steps = "<physics{}><max_step_size>{}</max_step_size></physics>"
+    others = steps.format("", 0.01), steps.format(" default='false'", 0.02)
+
+    world = read_world(a_world(GROUND, *others, steps.format(" default='true'", 0.004)))
+
+    assert world.physics.step_s == 0.004
+    assert mentions(world.report, "suspicious", "default='true'")
+
+
 def test_light_of_a_world_may_be_placed_at_a_frame() -> None:
     frame = '<frame name="mast"><pose>1 2 3 0 0 0</pose></frame>'
     light = '<light name="l" type="point"><pose relative_to="mast">0 0 1 0 0 0</pose></light>'
