@@ -34,7 +34,7 @@ from zensim.proto.messages.sensing_messages import SphericalCoordinates
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import Scene
-from zensim.proto.rigid_transforms import compose
+from zensim.proto.rigid_transforms import compose, rotate
 from zensim.sim_server.description.element_rules import check_element, find_name, zensim_tag
 from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
@@ -106,6 +106,9 @@ MAX_GRAVITY = 1000.0
 """Gravity along an axis [m/s^2]: four times that of the sun."""
 MAX_MAGNETIC_FIELD_T = 10.0
 """Field along an axis: ten times that of a strong magnet."""
+UP: Vec3 = (0.0, 0.0, 1.0)
+LEAST_UPRIGHT = 0.5
+"""Height of the normal of a plane on which a robot may stand: at most 60 degrees of slope."""
 MAX_MODELS = 5000
 SUN, GROUND = "sun", "ground_plane"
 """Names of the models that need no file."""
@@ -595,8 +598,13 @@ def _add_part(
 
 
 def _is_support(placed: PlacedModel) -> bool:
-    """Whether a static model has a collision, on which a robot may stand."""
-    return placed.model.is_static and any(link.collisions for link in placed.model.links)
+    """Whether a static model has a collision on which a robot may stand; a plane that is level."""
+    return placed.model.is_static and any(
+        solid.size != GROUND_SLAB_M
+        or rotate(compose(placed.origin, solid.origin).orientation, UP)[2] > LEAST_UPRIGHT
+        for link in placed.model.links
+        for solid in link.collisions
+    )
 
 
 def _is_ground_plane(model: Model, origin: Origin) -> bool:

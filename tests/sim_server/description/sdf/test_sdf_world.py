@@ -254,6 +254,17 @@ def test_entity_names_are_unique() -> None:
     assert [placed.name for placed in world.models] == ["a_b", "a_b_2"]
 
 
+@pytest.mark.parametrize(("normal", "is_warned"), [("1 0 0", True), ("0.3 0 1", False)])
+def test_world_whose_plane_is_a_wall_is_reported(normal: str, *, is_warned: bool) -> None:
+    plane = f"<plane><normal>{normal}</normal></plane>"
+    collision = f"<collision name='c'><geometry>{plane}</geometry></collision>"
+    model = f"<model name='m'><static>true</static><link name='l'>{collision}</link></model>"
+
+    world = read_world(a_world(model))
+
+    assert mentions(world.report, "suspicious", "robots will fall") == is_warned
+
+
 def test_level_plane_is_the_ground_plane() -> None:
     mu = "<surface><friction><ode><mu>0.4</mu></ode></friction></surface>"
     plane = f'<collision name="c"><geometry><plane/></geometry>{mu}</collision>'
