@@ -97,6 +97,10 @@ class SdfLinkReader:
         if inertial is None:
             return Inertial()
         origin = self._read_origin(tag, inertial, where)
+        mass_kg = read_scalar(inertial, "mass", 1.0, where)
+        if inertial.get("auto", "").strip().lower() in ("true", "1"):
+            fault = f"not found from volume and density; {mass_kg:g} kg is used, write <mass>"
+            self.report.suspicious(f"{where}: attribute auto", fault)
         matrix = inertial.find("inertia")
         if matrix is None:
             self.report.suspicious(where, "has no <inertia>; SDF's default 1 kg m^2 is used")
@@ -107,11 +111,7 @@ class SdfLinkReader:
         turn = to_matrix(np.array(origin.orientation))
         turned = turn @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ turn.T
         ixx, ixy, ixz, _, iyy, iyz, _, _, izz = turned.ravel().tolist()
-        return Inertial(
-            read_scalar(inertial, "mass", 1.0, where),
-            origin.position,
-            (ixx, ixy, ixz, iyy, iyz, izz),
-        )
+        return Inertial(mass_kg, origin.position, (ixx, ixy, ixz, iyy, iyz, izz))
 
     def _read_collisions(self, tag: LinkElement) -> list[Shape]:
         kept = []

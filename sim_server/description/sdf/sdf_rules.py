@@ -66,7 +66,7 @@ VISUAL = ElementRule(
     },
 )
 INERTIAL = ElementRule(
-    unused={"auto": "not found from collisions; write <mass> and <inertia>"},
+    attributes={"auto": ANY_TEXT},
     children={
         "pose": POSE,
         "mass": LEAF,
