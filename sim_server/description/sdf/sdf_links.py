@@ -98,7 +98,7 @@ class SdfLinkReader:
             return Inertial()
         origin = self._read_origin(tag, inertial, where)
         mass_kg = read_scalar(inertial, "mass", 1.0, where)
-        if inertial.get("auto", "").strip().lower() in ("true", "1"):
+        if (inertial.get("auto") or "").strip().lower() in ("true", "1"):
             fault = f"not found from volume and density; {mass_kg:g} kg is used, write <mass>"
             self.report.suspicious(f"{where}: attribute auto", fault)
         matrix = inertial.find("inertia")
