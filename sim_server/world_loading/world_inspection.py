@@ -75,7 +75,7 @@ class InspectedModel(msgspec.Struct, frozen=True):
     moved_m: float = 0.0
     speed_mps: float = 0.0
     joint_speed: float = 0.0
-    """Of the fastest joint [rad/s or m/s]."""
+    """Speed of the fastest joint [rad/s or m/s]."""
 
     @property
     def is_moving(self) -> bool:
