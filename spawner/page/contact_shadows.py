@@ -25,7 +25,7 @@ FACES: Final = ((0, 1, 2), (0, 2, 3))
 def make_shadow(bounds: Array) -> ColouredMesh:
     """Make the patch of a robot with these lowest and highest corners (2, 3) in its base."""
     centre, halves = bounds[:, :2].mean(axis=0), np.ptp(bounds[:, :2], axis=0) / 2.0
-    reach = REACH * float(halves.min())
+    reach = REACH * max(float(halves.min()), GROUND_M)
     corners = np.array(CORNERS)
     mesh = TriangleMesh(
         np.column_stack([centre + corners * (halves + reach), np.zeros(len(corners))]),

@@ -30,6 +30,12 @@ def test_patch_is_dark_below_the_robot_and_clear_where_it_ends() -> None:
     assert patch.rgba[3] < 1.0
 
 
+def test_flat_robot_has_a_patch() -> None:
+    patch = make_shadow(np.array([(-0.3, 0.0, 0.0), (0.1, 0.0, 0.4)]))
+
+    assert np.asarray(Image.open(BytesIO(patch.mesh.image)))[..., 1].max() > 100
+
+
 def test_faces_are_seen_from_above() -> None:
     mesh = make_shadow(BOUNDS).mesh
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
