@@ -16,7 +16,7 @@ from zensim.spawner.page.robot_colours import Rgb
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.script_messages import ScriptMessage, ZensimDrive, ZensimLeave
 from zensim.spawner.page.shortcuts import DRIVE_TO, STOP_ALL, TAKE_OVER
-from zensim.spawner.page.side_panel import STALE_S, WITHOUT_COMMANDS
+from zensim.spawner.page.side_panel import format_command
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
 from zensim.spawner.teleop.drive_twists import find_drive_style
 
@@ -86,12 +86,9 @@ class DrivePanel(Panel):
         driver = self._driver.find_driver(self._robot)
         if driver is not None:
             return "you" if driver == self._visitor else "another visitor"
-        command = state.commands.get(self._entity)
-        if command is not None and command.age_s < STALE_S:
-            return "a program that publishes cmd_vel"
         is_known = self._entity in state.fleet.rows
         moves = is_known and is_moving(state.state_of(self._entity))
-        return WITHOUT_COMMANDS if moves else "nobody"
+        return format_command(state.commands.get(self._entity), moves=moves)
 
     def change_selection(self) -> None:
         """Drive the robot that is selected now."""

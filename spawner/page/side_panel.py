@@ -135,7 +135,8 @@ def format_command(command: LastCommand | None, *, moves: bool = False, order: s
         order: Of a fleet manager; empty if there is none.
     """
     if command is None:
-        return (f"order {to_html(order)}" if order else WITHOUT_COMMANDS) if moves else "nothing"
+        by = f"order {to_html(order)}" if order else WITHOUT_COMMANDS
+        return by if moves else "nothing"
     text = f"cmd_vel  v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
     return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
 

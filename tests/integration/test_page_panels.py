@@ -654,10 +654,10 @@ def test_the_first_visitor_is_another_visitor_to_the_second(
 @pytest.mark.parametrize(
     ("speed_mps", "command", "who"),
     [
-        (0.0, None, "nobody"),
+        (0.0, None, "nothing"),
         (0.3, None, "its behaviour"),
-        (0.3, LastCommand(0.3, 0.0, age_s=0.1), "a program that publishes cmd_vel"),
-        (0.0, LastCommand(0.3, 0.0, age_s=9.0), "nobody"),
+        (0.3, LastCommand(0.3, 0.0, age_s=0.1), "cmd_vel  v 0.30 m/s"),
+        (0.0, LastCommand(0.3, 0.0, age_s=9.0), "cmd_vel  v 0.30 m/s"),
     ],
 )
 def test_it_is_said_who_drives_a_robot_that_no_visitor_drives(

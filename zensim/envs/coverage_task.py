@@ -32,11 +32,11 @@ class CoverField(RobotTask):
     """Come near each cell of a square field about the robots.
 
     Observation: the place in the field x, y [m], cosine and sine of the heading, forward velocity
-    [m/s] and turn [rad/s], the share of cells that are covered, the nearest cell that is not, in
-    the robot's frame x, y [m], and the three nearest robots as in `AvoidEachOther`.
+    [m/s] and turn [rad/s], the share of cells that are covered, the nearest open cell, in the
+    robot's frame x, y [m], and the three nearest robots as in `AvoidEachOther`.
     Reward: 0.1 for each cell that the robot covers first, 0.2 for each metre that it came nearer to
-    the nearest one that is not covered, -0.01 a step, and -1 at a collision, which ends the episode
-    of the robot. Those of the others end with 95 % of the cells.
+    the nearest open cell, -0.01 a step, and -1 at a collision, which ends the episode of the robot.
+    Those of the others end with 95 % of the cells.
     """
 
     settings: Mapping[str, object] = MappingProxyType({"count": 4, "time_limit_s": 120.0})
