@@ -15,7 +15,8 @@ from zensim.proto.messages.drive_messages import DriveOrder
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.builtin_models import read_builtin_model, read_builtin_world
 from zensim.sim_server.description.joint_reduction import LumpedModel
-from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, has_assets, no_meshes
+from zensim.sim_server.description.meshes.mesh_lookup import has_assets
+from zensim.sim_server.description.meshes.mesh_triangles import FindFile, find_no_file
 from zensim.sim_server.description.model_geometry import FALL, falls_without_end
 from zensim.sim_server.description.plugins.drive_selection import select_drive
 from zensim.sim_server.description.plugins.joint_controllers import add_joint_controllers
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
     from zensim.proto.messages.spawn_messages import Compat
     from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
-    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
     from zensim.sim_server.description.model_geometry import FindCorners
     from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
     from zensim.sim_server.description.world_model import WorldModel
@@ -48,7 +48,7 @@ SDF_ROOTS = ("sdf", "gazebo")
 def read_robot(
     text: str,
     *,
-    has_mesh: HasMesh = no_meshes,
+    find_mesh: FindFile = find_no_file,
     allow_missing: bool = False,
     resolve: ResolveInclude | None = None,
 ) -> Model:
@@ -58,8 +58,10 @@ def read_robot(
         from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 
         resolve = resolve or no_includes
-        return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing, resolve=resolve)
-    return read_urdf(text, has_mesh=has_mesh, allow_missing=allow_missing)
+        return read_sdf_model(
+            text, find_mesh=find_mesh, allow_missing=allow_missing, resolve=resolve
+        )
+    return read_urdf(text, find_mesh=find_mesh, allow_missing=allow_missing)
 
 
 def is_sdf(text: str) -> bool:
@@ -75,6 +77,10 @@ SAMPLE_URDF = """<robot name="sample"><link name="base"><inertial><mass value="1
 <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <visual><geometry><mesh filename="{0}"/></geometry></visual>
 <collision><geometry><mesh filename="{0}"/></geometry></collision></link></robot>"""
+SAMPLE_SDF = """<sdf version="1.11"><model name="m"><link name="a"><inertial auto="true"/>
+<collision name="c"><geometry><mesh><uri>{0}</uri></mesh></geometry></collision>
+</link></model></sdf>"""
+"""A mesh whose volume is measured."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +129,7 @@ def parse_description(
         found = present.get(uri)
         return found[1].decode("utf-8", "replace") if found else None
 
-    model = read_robot(
-        text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
-    )
+    model = read_robot(text, find_mesh=present.get, allow_missing=allow_missing, resolve=included)
     found = ModelWithMeshes(model, {})
     if has_assets(model):
         found = _convert_meshes(model, present.get, overrides_materials=is_sdf(text))
@@ -184,10 +188,7 @@ def parse_world(
     from zensim.sim_server.description.meshes.mesh_conversion import MeshConversions, convert_meshes
     from zensim.sim_server.description.sdf.sdf_world import read_world
 
-    def has_mesh(uri: str) -> bool:
-        return find_mesh(uri) is not None
-
-    world = read_world(text, resolve=resolve, has_mesh=has_mesh, allow_missing=allow_missing)
+    world = read_world(text, resolve=resolve, find_mesh=find_mesh, allow_missing=allow_missing)
     replace = msgspec.structs.replace
     conversions, models, report = MeshConversions(), [], list(world.report)
     unusable: list[str] = []
@@ -295,9 +296,10 @@ def warm_up() -> None:
         data = exported.encode() if isinstance(exported, str) else exported
         assert isinstance(data, bytes)
         name = f"a.{ending}"
-        parse_description(
-            SAMPLE_URDF.format(name), assets={name: ("", data)}, allow_missing=False, compat="fixed"
-        )
+        for text in (SAMPLE_URDF, SAMPLE_SDF) if ending == "stl" else (SAMPLE_URDF,):
+            parse_description(
+                text.format(name), assets={name: ("", data)}, allow_missing=False, compat="fixed"
+            )
     for text in ("", "<robot", SAMPLE_WITHOUT_DRIVE, read_builtin_model("box_bot")):
         with suppress(ModelError):
             parse_description(

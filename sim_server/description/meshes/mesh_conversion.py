@@ -267,14 +267,19 @@ def _convert_shape(shape: Shape, purpose: str, job: _ModelConversion) -> tuple[C
     key = (source + place, purpose, job.max_count if purpose == "static" else 0)
     if (parts := job.conversions.known.get(key)) is None:
         if source not in job.read:
-            job.read[source] = _read_mesh_or_generate(shape.mesh, data, job.find_file)
+            job.read[source] = read_mesh_or_generate(shape.mesh, data, job.find_file)
         if purpose == "static":
             _report_decimation(shape.mesh, len(job.read[source].faces), job)
         parts = job.conversions.known[key] = tuple(CONVERSIONS[purpose](job.read[source], job))
     return parts
 
 
-def _read_mesh_or_generate(uri: str, data: bytes, find_file: FindFile) -> Triangles:
+def read_mesh_or_generate(uri: str, data: bytes, find_file: FindFile) -> Triangles:
+    """Read a mesh file, or make the mesh of a generated solid.
+
+    Raises:
+        ModelError: The file is invalid.
+    """
     if is_generated(uri):
         return Triangles(*find_exact_hull(np.array(list_corners(uri))))
     return read_mesh(uri, data, find_file)

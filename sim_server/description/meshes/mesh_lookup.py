@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,15 +12,8 @@ from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model, Shape
+    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
     from zensim.sim_server.description.report import ParseReport
-
-HasMesh = Callable[[str], bool]
-"""Whether the server has the mesh of a URI, as written in a description."""
-
-
-def no_meshes(uri: str) -> bool:  # noqa: ARG001  every HasMesh takes a URI
-    """Return False: there are no meshes."""
-    return False
 
 
 @dataclass(frozen=True)
@@ -29,10 +21,11 @@ class MeshPolicy:
     """Which meshes exist, and whether collisions may lack theirs.
 
     Attributes:
+        find_mesh: Finds a mesh by its URI, as written in the description.
         missing: Faults of collisions without their mesh, if these are allowed.
     """
 
-    has_mesh: HasMesh
+    find_mesh: FindFile
     allow_missing: bool = False
     missing: list[str] = field(default_factory=list)
 
@@ -42,7 +35,9 @@ class MeshPolicy:
         Raises:
             ModelError: The mesh of a collision is missing and must not be.
         """
-        if shape.kind != "mesh" or is_generated(shape.mesh) or self.has_mesh(shape.mesh):
+        if shape.kind != "mesh" or is_generated(shape.mesh):
+            return True
+        if self.find_mesh(shape.mesh) is not None:
             return True
         fault = f"mesh {quote(shape.mesh)} is not on the server"
         if not collides:

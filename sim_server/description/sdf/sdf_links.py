@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 
 from zensim.proto.messages.model_messages import Decay, Inertial, Light, Link, Origin, Shape
 from zensim.proto.rigid_transforms import compose, invert
-from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.link_surfaces import to_decay_rate
+from zensim.sim_server.description.sdf.sdf_inertia import InertiaReader
 from zensim.sim_server.description.sdf.sdf_solids import (
     apply_transparency,
     make_ground_slab,
@@ -26,17 +25,16 @@ from zensim.sim_server.description.sdf.sdf_values import read_flag, read_pose, r
 from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Set
+    from collections.abc import Iterator, Sequence, Set
 
     from lxml.etree import _Element as Element
 
     from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy
     from zensim.sim_server.description.report import ParseReport
     from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
+    from zensim.sim_server.description.sdf.sdf_inertia import CollisionShapes
 
 
-DEFAULT_MOMENTS = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
-"""SDF's defaults [kg m^2]."""
 DEFAULT_INERTIAL = Inertial(mass_kg=1.0, inertia=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
 """SDF's default for a link without <inertial>."""
 
@@ -67,12 +65,13 @@ class SdfLinkReader:
         Raises:
             ModelError: A value is not a number, a size is not positive, or a mesh is missing.
         """
-        where, inertial = f"link {quote(tag.name)}", self._read_inertial(tag)
+        where, collisions = f"link {quote(tag.name)}", list(self._read_collisions(tag))
+        inertial = self._read_inertial(tag, collisions)
         has_gravity = read_flag(tag.element, "gravity", default=True, where=where)
         return Link(
             tag.name,
             inertial,
-            tuple(self._read_collisions(tag)),
+            tuple(shape for _, shapes in collisions for shape in shapes),
             tuple(self._read_visuals(tag)),
             weightless=Inertial() if has_gravity else inertial,
             decay=Decay(*(self._read_decay(tag, part) for part in ("linear", "angular"))),
@@ -92,29 +91,15 @@ class SdfLinkReader:
         share = read_scalar(tag.element, f"velocity_decay/{part}", 0.0, where)
         return to_decay_rate(max(share, 0.0))
 
-    def _read_inertial(self, tag: LinkElement) -> Inertial:
+    def _read_inertial(self, tag: LinkElement, collisions: Sequence[CollisionShapes]) -> Inertial:
         inertial, where = tag.element.find("inertial"), f"link {quote(tag.name)}, inertial"
         if inertial is None:
             return Inertial()
         origin = self._read_origin(tag, inertial, where)
-        mass_kg = read_scalar(inertial, "mass", 1.0, where)
-        if (inertial.get("auto") or "").strip().lower() in ("true", "1"):
-            fault = f"not found from volume and density; {mass_kg:g} kg is used, write <mass>"
-            self.report.suspicious(f"{where}: attribute auto", fault)
-        matrix = inertial.find("inertia")
-        if matrix is None:
-            self.report.suspicious(where, "has no <inertia>; SDF's default 1 kg m^2 is used")
-            moments = tuple(DEFAULT_MOMENTS.values())
-        else:
-            moments = tuple(read_scalar(matrix, n, d, where) for n, d in DEFAULT_MOMENTS.items())
-        ixx, ixy, ixz, iyy, iyz, izz = moments
-        turn = to_matrix(np.array(origin.orientation))
-        turned = turn @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ turn.T
-        ixx, ixy, ixz, _, iyy, iyz, _, _, izz = turned.ravel().tolist()
-        return Inertial(mass_kg, origin.position, (ixx, ixy, ixz, iyy, iyz, izz))
+        reader = InertiaReader(where, self.policy.find_mesh, self.report)
+        return reader.read(inertial, origin, collisions)
 
-    def _read_collisions(self, tag: LinkElement) -> list[Shape]:
-        kept = []
+    def _read_collisions(self, tag: LinkElement) -> Iterator[CollisionShapes]:
         for element in tag.element.findall("collision"):
             where = _describe_place(tag, element)
             shapes = self._read_shapes(tag, element, where)
@@ -129,11 +114,13 @@ class SdfLinkReader:
             if self.policy.can_use(shapes[0], where, collides=True, report=self.report):
                 surface = read_surface(element, where, self.report)
                 name = element.get("name") or ""
-                kept += [
-                    msgspec.structs.replace(surface.apply_to_shape(shape), name=name)
-                    for shape in shapes
-                ]
-        return kept
+                yield (
+                    element,
+                    [
+                        msgspec.structs.replace(surface.apply_to_shape(shape), name=name)
+                        for shape in shapes
+                    ],
+                )
 
     def _read_visuals(self, tag: LinkElement) -> list[Shape]:
         kept = []

@@ -23,7 +23,8 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, invert
 from zensim.sim_server.description.element_rules import POSE, check_element, zensim_tag
 from zensim.sim_server.description.joint_reduction import reduce_joints
-from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy
+from zensim.sim_server.description.meshes.mesh_triangles import find_no_file
 from zensim.sim_server.description.parsed_model import (
     MAX_LINKS,
     MODEL_FRAME,
@@ -61,6 +62,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lxml.etree import _Element as Element
+
+    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
 
 MAX_FRAMES = 5000
 LAX_NAME_VERSIONS = ("1.2", "1.3", "1.4", "1.5", "1.6")
@@ -351,7 +354,7 @@ SDF_SLUGS = dict(
 def read_sdf_model(
     text: str,
     *,
-    has_mesh: HasMesh = no_meshes,
+    find_mesh: FindFile = find_no_file,
     allow_missing: bool = False,
     resolve: ResolveInclude = no_includes,
 ) -> Model:
@@ -359,7 +362,7 @@ def read_sdf_model(
 
     Args:
         text: SDF with one <model>.
-        has_mesh: Whether the server has a mesh; no file is opened.
+        find_mesh: Finds a mesh by its URI.
         allow_missing: Leave out collisions whose mesh is missing.
         resolve: Finds the text of an included model.
 
@@ -375,7 +378,7 @@ def read_sdf_model(
     if element.get("placement_frame"):
         reason = "the spawn request sets the pose of the model frame"
         report.ignored("model: attribute placement_frame", reason)
-    model = read_model_element(element, MeshPolicy(has_mesh, allow_missing), report)
+    model = read_model_element(element, MeshPolicy(find_mesh, allow_missing), report)
     return msgspec.structs.replace(model, report=report.entries())
 
 

@@ -19,7 +19,7 @@ VERSION_ATTRIBUTE = "sdf_version"
 _NO_EFFECT = "Gazebo tag without effect"
 _NOT_DRAWN = "the page draws diffuse colours and textures"
 _NO_AIR = "air is not simulated"
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+MOMENT_TAGS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _MESH = ElementRule(
     unused=dict.fromkeys(
         ("optimization", "simplification"), "collisions are convex hulls of whole meshes"
@@ -51,7 +51,8 @@ COLLISION = ElementRule(
         "geometry": GEOMETRY,
         "surface": SURFACE_RULE,
         **make_unread(_NO_EFFECT, "laser_retro", idle=("0", "0.0")),
-        **make_unread(_NO_EFFECT, "max_contacts", "density", "auto_inertia_params", "frame"),
+        **make_leaves("density"),
+        **make_unread(_NO_EFFECT, "max_contacts", "auto_inertia_params", "frame"),
     },
 )
 VISUAL = ElementRule(
@@ -69,9 +70,9 @@ INERTIAL = ElementRule(
     attributes={"auto": ANY_TEXT},
     children={
         "pose": POSE,
-        "mass": LEAF,
-        "inertia": ElementRule(children=make_leaves(*_MOMENTS)),
-        **make_unread(_NO_EFFECT, "fluid_added_mass", "density", "auto_inertia_params", "frame"),
+        **make_leaves("mass", "density"),
+        "inertia": ElementRule(children=make_leaves(*MOMENT_TAGS)),
+        **make_unread(_NO_EFFECT, "fluid_added_mass", "auto_inertia_params", "frame"),
     },
 )
 LIGHT = ElementRule(

@@ -37,7 +37,8 @@ from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
 from zensim.sim_server.description.element_rules import check_element, find_name, zensim_tag
 from zensim.sim_server.description.link_surfaces import read_rgba
-from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy
+from zensim.sim_server.description.meshes.mesh_triangles import find_no_file
 from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK, find_repeated
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.sdf.sdf_frames import SCOPE_SEPARATOR, PoseGraph
@@ -97,6 +98,7 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
     from zensim.proto.messages.model_messages import Quat
+    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
 
 GROUND_MODEL = b"""<model name="ground_plane"><static>true</static><link name="link">
 <collision name="collision"><geometry><plane/></geometry></collision></link></model>"""
@@ -223,7 +225,7 @@ def read_world(
     text: str,
     *,
     resolve: ResolveInclude = no_includes,
-    has_mesh: HasMesh = no_meshes,
+    find_mesh: FindFile = find_no_file,
     allow_missing: bool = False,
 ) -> WorldModel:
     """Read a world; unsupported models are reported and left out.
@@ -231,7 +233,7 @@ def read_world(
     Args:
         text: SDF with one <world>.
         resolve: Finds the text of an included model other than sun and ground_plane.
-        has_mesh: Whether the server has a mesh.
+        find_mesh: Finds a mesh by its URI.
         allow_missing: Leave out included models and collisions whose file is missing.
 
     Raises:
@@ -242,7 +244,7 @@ def read_world(
     draft = _WorldDraft(
         WorldModel(name=_read_world_name(world, report)),
         report,
-        MeshPolicy(has_mesh, allow_missing=True),
+        MeshPolicy(find_mesh, allow_missing=True),
         allow_missing,
     )
     expand_populations(world, report)

@@ -34,7 +34,8 @@ from zensim.sim_server.description.link_surfaces import (
     read_visual_look,
 )
 from zensim.sim_server.description.meshes.generated_solids import make_cone, make_ellipsoid
-from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy
+from zensim.sim_server.description.meshes.mesh_triangles import find_no_file
 from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.parsed_model import (
     ParsedModel,
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
 
     from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.link_surfaces import UrdfMaterial
+    from zensim.sim_server.description.meshes.mesh_triangles import FindFile
 
 SPRING_KINDS = ("revolute", "continuous", "prismatic")
 ROUND_KINDS: dict[str, Literal["sphere", "cylinder", "capsule"]] = {
@@ -489,12 +491,14 @@ def _read_inertial(link: Element) -> Inertial:
     )
 
 
-def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
+def read_urdf(
+    text: str, *, find_mesh: FindFile = find_no_file, allow_missing: bool = False
+) -> Model:
     """Read a robot; the model's report lists the effect of its tags.
 
     Args:
         text: URDF with xacro expanded.
-        has_mesh: Whether the server has a mesh; no file is opened.
+        find_mesh: Finds a mesh by its URI.
         allow_missing: Leave out collisions whose mesh is missing.
 
     Raises:
@@ -504,7 +508,9 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     robot = parse_xml(text, root_tag="robot", slug="urdf")
     _refuse_xacro(robot)
     check_element(robot, ROBOT, "robot", report)
-    parts = order_as_tree(read_links_and_joints(robot, MeshPolicy(has_mesh, allow_missing), report))
+    parts = order_as_tree(
+        read_links_and_joints(robot, MeshPolicy(find_mesh, allow_missing), report)
+    )
     parts = drop_floating_world(parts, report)
     parts = ParsedModel(parts.name, check_links(parts.links, report), parts.joints)
     blocks = read_gazebo_extensions(robot, parts, report)

@@ -8,6 +8,10 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 
 
+def find_any_file(uri: str) -> tuple[str, bytes]:  # noqa: ARG001  every FindFile takes a URI
+    return "", b""
+
+
 def a_robot(*parts: str, attributes: str = 'name="r"') -> str:
     return f"<robot {attributes}>{''.join(parts)}</robot>"
 

@@ -90,14 +90,14 @@ SDF_SHAPES = """<box><size>1 1 0.1</size></box>|<sphere><radius>0.1</radius></sp
 <polyline><point>0 0</point><point>1 0</point><point>0 1</point><height>1</height></polyline>"""
 POSE = '<pose relative_to="__model__" degrees="true" rotation_format="euler_rpy">0 0 1 0 0 0</pose>'
 SDF_PARTS = "".join(
-    f'<collision name="c{number}">{POSE}<geometry>{shape}</geometry>'
+    f'<collision name="c{number}">{POSE}<density>9</density><geometry>{shape}</geometry>'
     f"{'' if number else SURFACE}</collision>"
     f'<visual name="v{number}">{POSE}<geometry>{shape}</geometry>'
     f"{'' if number else SDF_MATERIAL}<transparency>0.1</transparency></visual>"
     for number, shape in enumerate(SDF_SHAPES.split("|"))
 )
-SDF_INERTIAL = f"""<inertial>{POSE}<mass>1</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz>
-<ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"""
+SDF_INERTIAL = f"""<inertial auto="true">{POSE}<mass>1</mass><density>9</density>
+<inertia><ixx>1</ixx><iyy>1</iyy><izz>1</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"""
 LIGHT = """<light name="lamp" type="spot"><pose>0 0 1 0 0 0</pose><diffuse>1 1 1 1</diffuse>
 <intensity>1</intensity><direction>0 0 -1</direction><light_on>true</light_on>
 <cast_shadows>false</cast_shadows><attenuation><range>10</range><constant>1</constant>

@@ -67,12 +67,12 @@ def test_relative_meshes_of_two_included_models_differ() -> None:
         hand = a_model(a_link("palm", A_MESH), attributes=f'name="{name}"')
         parts.append((f"model://{name}", hand, a_joint(f"j_{name}", ("a", f"{name}::palm"))))
     files = {uri: text for uri, text, _ in parts}
-    here = {"model://left/meshes/a.stl"}
+    here = {"model://left/meshes/a.stl": ("", b"")}
 
     model = read_sdf_model(
         a_model(a_link("a"), *map(an_include, files), *(joint for _, _, joint in parts)),
         resolve=files.get,
-        has_mesh=here.__contains__,
+        find_mesh=here.get,
     )
 
     assert [shape.mesh for shape in model.links[0].visuals] == list(here)

@@ -23,18 +23,6 @@ def test_light_of_a_link_is_in_the_frame_of_the_link_that_it_is_lumped_into() ->
     assert (lamp.attenuation, lamp.outer_angle_rad) == ((1.0, 0.1, 0.0), 0.5)
 
 
-@pytest.mark.parametrize(("auto", "is_warned"), [("true", True), ("false", False)])
-def test_mass_that_is_used_in_place_of_a_density_is_reported(auto: str, *, is_warned: bool) -> None:
-    inertial = f"<inertial auto='{auto}'><density>500</density></inertial>"
-
-    model = read(f"<link name='base'>{inertial}</link>")
-
-    found = [one for one in model.report if one.subject == "link 'base', inertial: attribute auto"]
-    assert [(one.status, "1 kg is used" in one.reason) for one in found] == (
-        [("suspicious", True)] if is_warned else []
-    )
-
-
 def test_visual_without_a_geometry_is_not_drawn() -> None:
     model = read(a_link("a", '<visual name="v"><plugin filename="p" name="p"/></visual>'))
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.sim_server.description.robots import mentions, subjects
+from tests.sim_server.description.robots import find_any_file, mentions, subjects
 from tests.sim_server.description.sdf_robots import (
     BALL,
     INERTIAL,
@@ -244,7 +244,7 @@ def test_missing_collision_mesh_is_refused_unless_allowed() -> None:
     assert slug_of(text) == "mesh.missing"
     assert read_sdf_model(text, allow_missing=True).links[0].collisions == ()
     assert (
-        read_sdf_model(text, has_mesh=lambda _: True).links[0].collisions[0].mesh
+        read_sdf_model(text, find_mesh=find_any_file).links[0].collisions[0].mesh
         == "model://m/a.stl"
     )
 

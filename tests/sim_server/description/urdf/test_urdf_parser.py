@@ -16,6 +16,7 @@ from tests.sim_server.description.robots import (
     a_robot,
     a_visual,
     an_inertial,
+    find_any_file,
     link_names,
     mentions,
     report_of,
@@ -133,7 +134,7 @@ def test_shapes_have_sizes_in_metres_when_read() -> None:
     )
     inside = "".join(a_collision(f"<geometry>{shape}</geometry>") for shape in geometries)
 
-    model = read_urdf(a_robot(a_link("a", inside)), has_mesh=lambda _uri: True)
+    model = read_urdf(a_robot(a_link("a", inside)), find_mesh=find_any_file)
 
     assert [(shape.kind, shape.size, shape.mesh) for shape in model.links[0].collisions] == [
         ("box", (1.0, 2.0, 3.0), ""),
@@ -221,11 +222,11 @@ def test_robot_is_refused_when_a_collision_mesh_is_missing() -> None:
 def test_each_mesh_is_looked_up() -> None:
     asked: list[str] = []
 
-    def has_mesh(uri: str) -> bool:
+    def find_mesh(uri: str) -> tuple[str, bytes]:
         asked.append(uri)
-        return True
+        return find_any_file(uri)
 
-    model = read_urdf(a_robot(a_link("a", a_visual(MESH) + a_collision(MESH))), has_mesh=has_mesh)
+    model = read_urdf(a_robot(a_link("a", a_visual(MESH) + a_collision(MESH))), find_mesh=find_mesh)
 
     assert set(asked) == {"package://r/body.stl"}
     assert model.links[0].visuals[0].size == (2.0, 2.0, 2.0)
@@ -445,7 +446,7 @@ def test_visual_is_not_drawn_when_its_size_is_0() -> None:
 
 
 def test_mesh_may_be_mirrored_when_its_scale_is_negative() -> None:
-    model = read_urdf(a_robot(a_link("a", a_visual(MIRRORED_MESH))), has_mesh=lambda _uri: True)
+    model = read_urdf(a_robot(a_link("a", a_visual(MIRRORED_MESH))), find_mesh=find_any_file)
 
     assert model.links[0].visuals[0].size == (-1.0, 1.0, 1.0)
 
@@ -636,7 +637,7 @@ UNSEEN = [
 
 @pytest.mark.parametrize("visual", UNSEEN)
 def test_visual_with_a_fault_is_left_out(visual: str) -> None:
-    model = read_urdf(a_robot(a_link("a", an_inertial() + visual)), has_mesh=lambda _uri: True)
+    model = read_urdf(a_robot(a_link("a", an_inertial() + visual)), find_mesh=find_any_file)
 
     assert model.links[0].visuals == ()
     assert mentions(model.report, "suspicious", "link 'a', visual")
@@ -655,7 +656,7 @@ def test_visual_with_a_fault_is_left_out(visual: str) -> None:
 def test_collision_without_extent_is_left_out(geometry: str) -> None:
     sonar = a_link("sonar", an_inertial() + a_collision(f"<geometry>{geometry}</geometry>"))
 
-    model = read_urdf(a_robot(sonar), has_mesh=lambda _uri: True)
+    model = read_urdf(a_robot(sonar), find_mesh=find_any_file)
 
     assert model.links[0].collisions == ()
     assert mentions(model.report, "suspicious", "link 'sonar', collision")
@@ -667,7 +668,7 @@ def test_unusual_scale_of_a_mesh_is_read_with_a_warning(
 ) -> None:
     mesh = f'<geometry><mesh filename="m.stl" scale="{scale}"/></geometry>'
 
-    model = read_urdf(a_robot(a_link("a", a_visual(mesh))), has_mesh=lambda _uri: True)
+    model = read_urdf(a_robot(a_link("a", a_visual(mesh))), find_mesh=find_any_file)
 
     assert model.links[0].visuals[0].size == size
     assert mentions(model.report, "suspicious", "link 'a', visual", "scale")
