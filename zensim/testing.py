@@ -6,6 +6,7 @@ It is loaded by its entry point. Only a test that uses a fixture loads the simul
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -26,6 +27,8 @@ MAX_FOLDER_NAME = 120
 PHASE_KEY = pytest.StashKey[dict[str, pytest.TestReport]]()
 _current: list[Simulation] = []
 """The simulations of the running test, the newest last."""
+_servers: list[Sim] = []
+"""The servers of this session; only the last one may be in use."""
 
 
 @overload
@@ -104,18 +107,29 @@ def zensim_server() -> Iterator[Sim]:
     from zensim.api.connections import launch
 
     with launch() as sim:
+        _servers.append(sim)
         yield sim
+    while _servers:
+        _servers.pop().close()
 
 
 @pytest.fixture
-def zensim_sim(request: pytest.FixtureRequest, zensim_server: Sim) -> Iterator[Simulation]:
-    """The server of this session, paused and reset, in the world of this test."""
+def zensim_sim(request: pytest.FixtureRequest, zensim_server: Sim) -> Iterator[Simulation]:  # noqa: ARG001  it starts the first
+    """A paused and reset server in the world of this test; another one if it ended in a test."""
+    from zensim.api.api_errors import ConnectionLost
+    from zensim.api.connections import launch
+
     options = read_marker(request)
-    zensim_server.pause()
-    zensim_server.load(options.get("world", "empty"))
-    yield from _watch(request.node, zensim_server)
-    zensim_server.pause()
-    zensim_server.reset()
+    try:
+        _servers[-1].pause()
+    except ConnectionLost:
+        _servers.append(launch())
+    server = _servers[-1]
+    server.load(options.get("world", "empty"))
+    yield from _watch(request.node, server)
+    with suppress(ConnectionLost):
+        server.pause()
+        server.reset()
 
 
 def read_marker(request: pytest.FixtureRequest) -> dict[str, Any]:

@@ -92,6 +92,34 @@ def test_nothing(zensim_sim):
 """
 
 
+KILLED = """
+import os
+import signal
+from pathlib import Path
+
+def find_servers():
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int(path.joinpath("stat").read_text().rpartition(")")[2].split()[1])
+            words = path.joinpath("cmdline").read_bytes().split(b"\\0")
+        except (OSError, ValueError):
+            continue
+        if parent == os.getpid() and b"serve" in words:
+            yield int(path.name)
+
+def test_kills_its_server(zensim_sim):
+    (server,) = find_servers()
+    os.kill(server, signal.SIGKILL)
+    zensim_sim.step(1)
+
+def test_has_another(zensim_sim):
+    assert zensim_sim.spawn("box_bot")
+
+def test_has_it_again(zensim_sim):
+    assert not zensim_sim.robots
+"""
+
+
 def run_pytest(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
     (folder / "test_case.py").write_text(text)
     command = [sys.executable, "-m", "pytest", "-p", "zensim.testing", "-p", "no:cacheprovider"]
@@ -110,6 +138,12 @@ def test_a_passed_test_leaves_no_files(tmp_path: Path) -> None:
 
     assert done.returncode == 0, done.stdout
     assert not (tmp_path / "test-results").exists()
+
+
+def test_a_server_that_ends_in_a_test_fails_only_that_test(tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, KILLED)
+
+    assert "1 failed, 2 passed" in done.stdout, done.stdout
 
 
 def test_a_failed_test_leaves_report_and_events_and_names_them(tmp_path: Path) -> None:
