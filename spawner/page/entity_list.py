@@ -29,8 +29,6 @@ LETTERS: Final[dict[EntityStatus, str]] = {
     "static": "t",
 }
 """Letter of each status in messages to the page's script."""
-FRESH_S: Final = 1.0
-"""A command of this age [s] or older drives nothing."""
 BLOCKED_SHARE: Final = 0.1
 """A robot that reaches less of its command is blocked."""
 
@@ -88,7 +86,7 @@ def is_blocked(state: Array, command: LastCommand) -> bool:
         state: Of its base (STATE_COLUMNS,).
         command: Last velocity command.
     """
-    if command.age_s >= FRESH_S:
+    if not command.is_fresh:
         return False
     speed, turn = abs(command.forward_mps), abs(command.turn_radps)
     if speed < MOVING_MPS and turn < MOVING_RADPS:

@@ -5,7 +5,7 @@ import io
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
-from math import hypot, inf, isfinite
+from math import hypot, inf, isfinite, isnan, nan
 from typing import Final
 
 import msgspec
@@ -44,34 +44,51 @@ class PlotHistory:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=PLOT_POINTS)
 
     def add(self, time_s: float, values: Mapping[str, float]) -> bool:
-        """Add the values at a time; other columns, or an earlier time, begin a new history.
+        """Add the values at a time; an earlier time begins a new history.
+
+        A column that is new has no numbers before, one that is not given is dropped.
 
         Returns:
             Whether the row is new: time does not pass while a world is paused.
         """
         columns = tuple(values)
-        if columns != self.columns or (self._rows and time_s < self._rows[-1][0]):
-            self.columns = columns
+        if self._rows and time_s < self._rows[-1][0]:
             self._rows.clear()
+        if columns != self.columns:
+            self._arrange(columns)
         if self._rows and time_s == self._rows[-1][0]:
             return False
         self._rows.append((time_s, *values.values()))
         return True
 
+    def _arrange(self, columns: tuple[str, ...]) -> None:
+        rows = [dict(zip(self.columns, row[1:], strict=True)) for row in self._rows]
+        times = [row[0] for row in self._rows]
+        self.columns = columns
+        self._rows.clear()
+        for time_s, row in zip(times, rows, strict=True):
+            self._rows.append((time_s, *(row.get(column, nan) for column in columns)))
+
     def make_arrays(self, columns: Sequence[str]) -> tuple[Array, ...]:
-        """Make an array of times [s] and one of each column, without rows that are not finite."""
+        """Make an array of times [s] and one of each column, NaN where it has no finite number.
+
+        Rows without any number are left out.
+        """
         places = [0, *(1 + self.columns.index(column) for column in columns)]
         if not self._rows:
             return tuple(np.zeros(0) for _ in places)
         chosen = np.array(self._rows, dtype=np.float64)[:, places]
-        return tuple(chosen[np.isfinite(chosen).all(axis=1)].T.copy())
+        chosen[~np.isfinite(chosen)] = nan
+        return tuple(chosen[np.isfinite(chosen[:, 1:]).any(axis=1)].T.copy())
 
     def make_csv(self) -> bytes:
-        """Write all rows as CSV of RFC 4180, with a line of titles."""
+        """Write all rows as CSV of RFC 4180, with a line of titles; no number is an empty cell."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow((TIME_COLUMN, *self.columns))
-        writer.writerows([f"{number:.6g}" for number in row] for row in self._rows)
+        writer.writerows(
+            ["" if isnan(number) else f"{number:.6g}" for number in row] for row in self._rows
+        )
         return text.getvalue().encode()
 
 
@@ -84,7 +101,8 @@ def find_axis_range(values: Sequence[Array], *, has_zero: bool) -> tuple[float, 
         values: Of each line.
         has_zero: Whether zero is in view in any case, else only beside values as far from it.
     """
-    ends = [float(end(one)) for one in values if len(one) for end in (np.min, np.max)] or [0.0]
+    finite = [line[np.isfinite(line)] for line in values]
+    ends = [float(end(one)) for one in finite if len(one) for end in (np.min, np.max)] or [0.0]
     low, high = min(ends), max(ends)
     far = max(abs(low), abs(high))
     if has_zero or low < 0.0 < high or min(abs(low), abs(high)) <= COMPARABLE * far:
@@ -102,7 +120,9 @@ def find_axis_range(values: Sequence[Array], *, has_zero: bool) -> tuple[float, 
 
 
 def format_number(number: float) -> str:
-    """Format a value for a legend."""
+    """Format a value for a legend; empty for NaN."""
+    if isnan(number):
+        return ""
     is_plain = number == 0.0 or PLAIN[0] <= abs(number) < PLAIN[1]
     return f"{number:.2f}" if is_plain else f"{number:.2e}"
 
@@ -119,9 +139,11 @@ def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:
 def measure_robot(name: str, state: Array, command: LastCommand | None) -> dict[str, float]:
     """Read the columns of a robot from its state (STATE_COLUMNS,) and its last command.
 
-    Without a command there are no columns of what is commanded.
+    Without a command there are no columns of what is commanded; one that is old commands zero.
     """
-    given = (command.forward_mps, command.turn_radps) if command else (None, None)
+    given: tuple[float | None, float | None] = (None, None)
+    if command is not None:
+        given = (command.forward_mps, command.turn_radps) if command.is_fresh else (0.0, 0.0)
     pairs = [
         (hypot(float(state[7]), float(state[8])), given[0]),
         (float(state[12]), given[1]),

@@ -32,6 +32,8 @@ MAX_MODEL_LIGHTS: Final = 8
 MOVING_MPS: Final = 0.01
 MOVING_RADPS: Final = 0.02
 """Speeds from which an entity moves; engines leave slower residues."""
+FRESH_S: Final = 1.0
+"""A command of this age or older drives nothing."""
 WIDE_AZIMUTH_RAD: Final = np.radians(28.0)
 """Angle of the view to the long side of the fleet: along it, so that the nearest are large."""
 NARROW_AZIMUTH_RAD: Final = np.radians(14.0)
@@ -141,6 +143,11 @@ class LastCommand(msgspec.Struct, frozen=True):
     forward_mps: float
     turn_radps: float
     age_s: float
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether it still drives the robot."""
+        return self.age_s < FRESH_S
 
 
 def make_fleet(

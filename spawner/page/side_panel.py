@@ -53,8 +53,6 @@ STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
 """Colours of the state; any other state is red."""
 SHORT: Final = 0.95
 """Share of the wanted real-time factor below which it counts as not reached."""
-STALE_S: Final = 1.0
-"""A command older than this is shown with its age."""
 WITHOUT_COMMANDS: Final = "its behaviour, or a client without cmd_vel"
 """What drives a robot that moves although no command is seen and no order is known."""
 
@@ -127,18 +125,19 @@ def _list_vehicle_rows(vehicle: VehicleStatus) -> PanelRows:
 
 
 def format_command(command: LastCommand | None, *, moves: bool = False, order: str = "") -> str:
-    """Format the last velocity command, with its age if that exceeds `STALE_S`.
+    """Format what drives a robot, and an old velocity command with its age.
 
     Args:
         command: Of its `cmd_vel`; None if there was none. Orders of clients need none.
         moves: Whether the robot does.
         order: Of a fleet manager; empty if there is none.
     """
+    by = f"order {to_html(order)}" if order else WITHOUT_COMMANDS
+    driver = by if moves else "nothing"
     if command is None:
-        by = f"order {to_html(order)}" if order else WITHOUT_COMMANDS
-        return by if moves else "nothing"
+        return driver
     text = f"cmd_vel  v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
-    return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
+    return text if command.is_fresh else f"{driver}; {text}, {command.age_s:.0f} s ago"
 
 
 def format_clock(seconds: float) -> str:

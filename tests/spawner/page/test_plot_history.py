@@ -43,12 +43,22 @@ def test_history_adds_nothing_while_time_stands() -> None:
     assert len(history.make_arrays(["a"])[0]) == 1
 
 
-def test_history_begins_anew_with_other_columns_and_after_a_reset() -> None:
+def test_history_keeps_the_columns_that_stay_when_others_come_and_go() -> None:
     history = PlotHistory()
-    history.add(1.0, {"a": 1.0})
+    history.add(1.0, {"a": 1.0, "b": 2.0})
+    history.add(2.0, {"b": 3.0, "c": 4.0})
+    assert history.columns == ("b", "c")
+
+    times, b, c = history.make_arrays(["b", "c"])
+    assert (times.tolist(), b.tolist()) == ([1.0, 2.0], [2.0, 3.0])
+    assert np.isnan(c).tolist() == [True, False]
+    assert history.make_csv().decode().splitlines()[1:] == ["1,2,", "2,3,4"]
+    assert find_axis_range([b, c], has_zero=False) == find_axis_range([b, c[1:]], has_zero=False)
+
+
+def test_history_begins_anew_after_a_reset() -> None:
+    history = PlotHistory()
     history.add(2.0, {"b": 2.0})
-    assert history.columns == ("b",)
-    assert history.make_arrays(["b"])[0].tolist() == [2.0]
 
     history.add(0.5, {"b": 3.0})
     assert history.make_arrays(["b"])[0].tolist() == [0.5]
@@ -85,6 +95,8 @@ def test_columns_of_a_robot_are_speed_turn_rate_and_position() -> None:
     assert list(values.values()) == pytest.approx([0.5, 0.6, -0.5, 0.7, 1.0, 2.0])
     assert [*values] == [one for pair in name_robot_columns("r1").values() for one in pair]
     assert "r1 v commanded [m/s]" not in measure_robot("r1", state, None)
+    old = measure_robot("r1", state, LastCommand(0.6, 0.7, age_s=1.5))
+    assert (old["r1 v commanded [m/s]"], old["r1 w commanded [rad/s]"]) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

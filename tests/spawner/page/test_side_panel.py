@@ -88,7 +88,7 @@ def test_markup_in_names_is_escaped() -> None:
     [
         (None, "nothing"),
         (LastCommand(0.1, 0.0, age_s=0.5), "cmd_vel  v 0.10 m/s  w 0.00 rad/s"),
-        (LastCommand(0.1, 0.0, age_s=4.2), "cmd_vel  v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
+        (LastCommand(0.1, 0.0, age_s=4.2), "nothing; cmd_vel  v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
     ],
 )
 def test_old_command_is_shown_with_its_age(command: LastCommand | None, text: str) -> None:
