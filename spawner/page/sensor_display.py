@@ -8,12 +8,22 @@ from typing import Final
 import numpy as np
 import viser
 
-from zensim.spawner.page.robot_colours import to_linear
+from zensim.proto.topic_catalog import SCAN
+from zensim.spawner.page.robot_colours import find_robot_colour, to_linear
 from zensim.spawner.page.sensor_views import Picture, SensedFrame, SensorChoice, SensorView
 
-SCAN_COLOUR: Final = (255, 96, 64)
 SCAN_POINT_M: Final = 0.025
-"""Size of the points of scans."""
+CLOUD_POINT_M: Final = 0.007
+"""Sizes of the points of scans in a plane, and of clouds."""
+HEIGHTS_M: Final = (-0.1, 0.25, 0.7, 1.5, 3.0)
+HEIGHT_COLOURS: Final = (
+    (72, 40, 120),
+    (49, 104, 142),
+    (31, 158, 137),
+    (109, 205, 89),
+    (240, 180, 20),
+)
+"""Colours of points of clouds by their height; others are between."""
 
 
 class SensorDisplay:
@@ -26,7 +36,9 @@ class SensorDisplay:
     def __init__(self, scene: viser.SceneApi, gui: viser.GuiApi) -> None:
         self._scene, self._gui = scene, gui
         self._points: dict[SensorChoice, np.ndarray] = {}
-        self._clouds: dict[str, viser.PointCloudHandle] = {}
+        self._nodes: dict[str, viser.PointCloudHandle] = {}
+        self._clouds: set[SensorChoice] = set()
+        """Sensors whose points are not in a plane."""
         self._folder: viser.GuiFolderHandle | None = None
         self._views: dict[SensorChoice, SensorView] = {}
         self._pictures: dict[SensorChoice, viser.GuiImageHandle] = {}
@@ -60,11 +72,14 @@ class SensorDisplay:
         """Switch a sensor on, or off and remove what is shown of it."""
         self.chosen = self.chosen | {choice} if is_on else self.chosen - {choice}
         if is_on:
+            if choice in self._views and self._views[choice].content != SCAN.name:
+                self._clouds.add(choice)
             return
         if choice in self._pictures:
             self._pictures.pop(choice).remove()
         if self._points.pop(choice, None) is not None:
-            self._draw_cloud(choice.entity)
+            self._draw_points(self._name_node(choice), choice.entity)
+        self._clouds.discard(choice)
 
     def keep(self, sensors: Container[SensorChoice]) -> None:
         """Switch off what is not among these sensors."""
@@ -75,25 +90,32 @@ class SensorDisplay:
         """Show what is new of the chosen sensors."""
         new = {one: points for one, points in sensed.points.items() if one in self.chosen}
         self._points |= new
-        for entity in {choice.entity for choice in new}:
-            self._draw_cloud(entity)
+        for name, entity in {(self._name_node(choice), choice.entity) for choice in new}:
+            self._draw_points(name, entity)
         for choice in self.chosen & sensed.pictures.keys():
             self._show_picture(choice, sensed.pictures[choice])
 
-    def _draw_cloud(self, entity: str) -> None:
-        scans = [points for choice, points in self._points.items() if choice.entity == entity]
-        if not scans:
-            self._clouds.pop(entity).remove()
+    def _name_node(self, choice: SensorChoice) -> str:
+        return f"/{'clouds' if choice in self._clouds else 'scans'}/{choice.entity}"
+
+    def _draw_points(self, name: str, entity: str) -> None:
+        """Draw all points of a robot that are in a node."""
+        parts = [points for one, points in self._points.items() if self._name_node(one) == name]
+        if not parts:
+            self._nodes.pop(name).remove()
             return
-        points = np.concatenate(scans).astype(np.float32)
-        if entity in self._clouds:
-            self._clouds[entity].points = points
+        points = np.concatenate(parts).astype(np.float32)
+        is_cloud = name.startswith("/clouds/")
+        colours = color_heights(points) if is_cloud else np.array(find_robot_colour(entity))
+        if name in self._nodes:
+            self._nodes[name].points = points
+            self._nodes[name].colors = colours
             return
-        self._clouds[entity] = self._scene.add_point_cloud(
-            f"/scans/{entity}",
+        self._nodes[name] = self._scene.add_point_cloud(
+            name,
             points,
-            SCAN_COLOUR,
-            point_size=SCAN_POINT_M,
+            colours,
+            point_size=CLOUD_POINT_M if is_cloud else SCAN_POINT_M,
             point_shape="circle",
             precision="float32",
             point_shading="flat",
@@ -107,6 +129,14 @@ class SensorDisplay:
                 self._pictures[choice] = self._gui.add_image(
                     picture, label=choice.topic, format="jpeg"
                 )
+
+
+def color_heights(points: np.ndarray) -> np.ndarray:
+    """Choose the colours (n, 3) of points (n, 3) by their height over the ground."""
+    channels = np.array(HEIGHT_COLOURS).T
+    return np.stack([np.interp(points[:, 2], HEIGHTS_M, one) for one in channels], axis=1).astype(
+        np.uint8
+    )
 
 
 CONTACT_COLOUR: Final = (255, 64, 160)

@@ -19,6 +19,9 @@ Picture = NDArray[np.uint8]
 MAX_POINTS: Final = 20_000
 """Most points shown of one sensor; of more, every k-th is shown."""
 MAX_SHOWN_RANGE_M: Final = 10_000.0
+CLOUD_GRID_M: Final = 0.05
+CELL_FACTORS: Final = np.array((1, 1 << 20, 1 << 40))
+"""Give each cell of the grid a number of its own."""
 MAX_ANGLE_RAD: Final = 1e6
 """Bound of the angles of rays: float32 has steps of 0.06 rad there."""
 MAX_PICTURE_SIDE: Final = 480
@@ -110,7 +113,15 @@ def read_points(view: SensorView, payload: bytes, encoding: str = "") -> FloatAr
     else:
         points = _read_cloud(decode(PointCloud2, payload, encoding))
     near = points[(np.abs(points) <= MAX_SHOWN_RANGE_M).all(axis=1)]
-    return near[:: _find_stride(len(near), MAX_POINTS)]
+    shown = near[:: _find_stride(len(near), MAX_POINTS)]
+    return shown if view.content == SCAN.name else thin_out(shown)
+
+
+def thin_out(points: FloatArray) -> FloatArray:
+    """Keep a point of the points (n, 3) in each cell of a grid: closer ones hide what they hit."""
+    cells = np.floor(points / CLOUD_GRID_M).astype(np.int64)
+    _, first = np.unique(cells @ CELL_FACTORS, return_index=True)
+    return points[np.sort(first)]
 
 
 def read_contacts(message: Contacts) -> FloatArray:

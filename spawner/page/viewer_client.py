@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import viser
 
-from zensim.proto.se3 import FloatArray, to_yaw
+from zensim.proto.se3 import FloatArray, to_yaw, transform_points
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.floor_picking import Act, FloorPicker
 from zensim.spawner.page.model_visuals import Array, VisualTemplate
@@ -37,6 +37,11 @@ FOLLOW_GAIN: Final = 0.2
 """Share of the distance to the followed entity that the camera moves per call."""
 FOLLOW_DISTANCE_M: Final = 1.6
 """Distance of the camera from the followed entity."""
+FOLLOW_RADII: Final = 3.0
+"""The same for large entities, in radii of their bounds."""
+NEAR_SHARE: Final = 0.8
+"""Share of that distance that a selection brings the camera to at least."""
+ARRIVED_SHARE: Final = 0.98
 CHASE_OFFSET_M: Final = (-1.3, 0.0, 0.7)
 """Offset of a chasing camera in the frame of the base, turned by its yaw only."""
 TOP_HEIGHT_M: Final = 3.0
@@ -72,6 +77,15 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
     def bounds_of(self, entity: str) -> Array:
         """Return the lowest and highest corner (2, 3) of an entity in the frame of its base."""
         return self.find_bounds(self.fleet.templates[entity])
+
+    def find_middle(self, entity: str) -> Array:
+        """Find the middle of the bounds of an entity in the world."""
+        return transform_points(self.state_of(entity)[:7], self.bounds_of(entity).mean(axis=0))
+
+    def find_follow_distance(self, entity: str) -> float:
+        """Find the distance [m] at which a camera that follows an entity has all of it in view."""
+        radius = float(np.linalg.norm(np.ptp(self.bounds_of(entity), axis=0))) / 2.0
+        return max(FOLLOW_DISTANCE_M, FOLLOW_RADII * radius)
 
     def find_top(self, entity: str) -> Array:
         """Find the position above an entity where its name is shown."""
@@ -170,6 +184,9 @@ class ViewerClient:
         self._watches: dict[str, frozenset[WatchedTopic]] = {}
         self._stuck: dict[str, tuple[StuckNode, ...]] = {}
         self._focus = np.zeros(3)
+        self._moves_back = False
+        """Whether the camera is too near to what was selected, and moves back."""
+        self._names: tuple[str, ...] = ()
         self._camera_at = np.array(START_CAMERA[0])
         self._shown: tuple[tuple[str, ...], int, float] = ((), 0, 0.0)
 
@@ -255,6 +272,7 @@ class ViewerClient:
     def select(self, *entities: str) -> None:
         """Select these entities, the first of which the camera follows; none = stop following."""
         known = [name for name in dict.fromkeys(entities) if name in self.state.fleet.rows]
+        self._moves_back = known[:1] != [*self.selected[:1]]
         self.selected = tuple(known[:MAX_SELECTED])
         self._focus = np.array(self.client.camera.look_at)
         self.run_script(f"zensimSelected({json.dumps(self.selected)})")
@@ -304,14 +322,21 @@ class ViewerClient:
             return
         if self.selected[0] not in self.state.fleet.rows:
             return
-        base = self.state.state_of(self.selected[0])
-        self._focus = self._focus + (base[:3] - self._focus) * FOLLOW_GAIN
+        entity = self.selected[0]
+        self._focus = self._focus + (self.state.find_middle(entity) - self._focus) * FOLLOW_GAIN
         camera = self.client.camera
         position, target = np.array(camera.position), np.array(camera.look_at)
-        self.look_at(
-            place_camera(self.camera_mode, position, target, self._focus, float(to_yaw(base[3:7]))),
-            self._focus,
+        reach_m = self.state.find_follow_distance(entity)
+        follow = CameraFollow(
+            self.camera_mode,
+            float(to_yaw(self.state.state_of(entity)[3:7])),
+            NEAR_SHARE * reach_m if self._moves_back else 0.0,
+            reach_m,
         )
+        place = place_camera(follow, position, target, self._focus)
+        distance_m = float(np.linalg.norm(place - self._focus))
+        self._moves_back = self._moves_back and distance_m < ARRIVED_SHARE * follow.least_m
+        self.look_at(place, self._focus)
 
     def run_script(self, source: str) -> None:
         """Run a script in the browser."""
@@ -330,9 +355,15 @@ class ViewerClient:
         self.client.add_notification("zensim", text, color="orange", auto_close_seconds=WARNING_S)
 
     def _frame_all_if_changed(self) -> None:
-        """Show all when the entities or the image change, unless the user moved the camera."""
+        """Show all of another world, and of another image unless the user moved the camera."""
         fleet = self.state.fleet
-        if fleet.names and self._find_framed() != self._shown and self._is_untouched():
+        if not fleet.names:
+            return
+        before, self._names = self._names, fleet.names
+        is_other_world = (
+            bool(before) and before is not fleet.names and not {*before} & {*fleet.names}
+        )
+        if is_other_world or (self._find_framed() != self._shown and self._is_untouched()):
             self._show(choose_view(fleet, self.state.frame, self.state.find_bounds))
 
     def _show(self, view: View) -> None:
@@ -355,24 +386,34 @@ class ViewerClient:
         )
 
 
-def place_camera(
-    mode: CameraMode, position: Array, target: Array, focus: Array, yaw_rad: float
-) -> Array:
+class CameraFollow(msgspec.Struct, frozen=True):
+    """How a camera follows an entity."""
+
+    mode: CameraMode
+    yaw_rad: float
+    """Of the entity."""
+    least_m: float
+    """Distance below which it moves back."""
+    reach_m: float
+    """Distance beyond which it comes nearer."""
+
+
+def place_camera(follow: CameraFollow, position: Array, target: Array, focus: Array) -> Array:
     """Find the next position of a camera that follows a point.
 
     Args:
-        mode: How it follows.
+        follow: How it follows.
         position: Of the camera now.
         target: That the camera looks at now.
         focus: That it shall look at.
-        yaw_rad: Of the followed entity.
     """
     offset = position - target
-    if mode == "Orbit":
-        distance = float(np.linalg.norm(offset))
-        step = max(0.0, distance - FOLLOW_DISTANCE_M) * FOLLOW_GAIN
-        return focus + offset * (1.0 - step / max(distance, 1e-6))
-    wanted = _find_offset(mode, yaw_rad)
+    if follow.mode == "Orbit":
+        distance = max(float(np.linalg.norm(offset)), 1e-6)
+        wanted_m = min(max(distance, follow.least_m), follow.reach_m)
+        return focus + offset * (1.0 + (wanted_m / distance - 1.0) * FOLLOW_GAIN)
+    scale = follow.reach_m / FOLLOW_DISTANCE_M
+    wanted = scale * _find_offset(follow.mode, follow.yaw_rad)
     return focus + offset + (wanted - offset) * FOLLOW_GAIN
 
 

@@ -57,7 +57,8 @@ PLACE_OF = """
 """Screen position of a robot."""
 POINTS_OF = """
 (() => {
-  const node = window.__viserSceneTree.getState()["/scans/%s"];
+  const nodes = window.__viserSceneTree.getState(), robot = "%s";
+  const node = nodes[`/scans/${robot}`] ?? nodes[`/clouds/${robot}`];
   if (!node) return null;
   const raw = node.message.props.points;
   return Array.from(raw instanceof Float32Array ? raw : new Float32Array(
@@ -167,8 +168,8 @@ def list_spawns() -> Iterator[SpawnEntity]:
     ("robot", "label", "least"),
     [
         ("flat", "Show scan", 50),
-        ("cloud", "Show scan", 400),
-        ("eye", "Show scan camera/points", 999),
+        ("cloud", "Show scan", 100),
+        ("eye", "Show scan camera/points", 200),
     ],
 )
 def test_switch_shows_points_on_the_wall_until_switched_off(

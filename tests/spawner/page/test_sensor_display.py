@@ -6,14 +6,18 @@ from functools import partial
 import numpy as np
 
 from zensim.proto.messages.model_messages import Origin
+from zensim.spawner.page.robot_colours import find_robot_colour
 from zensim.spawner.page.sensor_display import SensorDisplay
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice, SensorView
 
 SCAN, REAR = SensorChoice("r1", "scan"), SensorChoice("r1", "rear")
+CLOUD = SensorChoice("r1", "points")
+HEIGHTS = np.array([(1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (1.0, 0.0, 2.0)])
 PICTURE = SensorChoice("r1", "image_raw")
 VIEWS = {
     SCAN: SensorView("laser", "scan", "scan", 0, Origin()),
     REAR: SensorView("laser2", "rear", "scan", 0, Origin()),
+    CLOUD: SensorView("depth", "points", "depth_points", 0, Origin()),
     PICTURE: SensorView("camera", "image_raw", "image_raw", 0, Origin()),
 }
 FRAME = SensedFrame(
@@ -58,9 +62,9 @@ class Setup:
             self.display.switch(choice, is_on=is_on)
 
     def add_point_cloud(
-        self, path: str, points: np.ndarray, _colour: object, **_: object
+        self, path: str, points: np.ndarray, colors: np.ndarray, **_: object
     ) -> FakeElement:
-        return FakeElement(self.nodes, path, points=points)
+        return FakeElement(self.nodes, path, points=points, colors=colors)
 
     def add_image(self, image: np.ndarray, *, label: str, **_: object) -> FakeElement:
         return FakeElement(self.elements, f"picture {label}", image=image)
@@ -73,7 +77,9 @@ class Setup:
 def test_panel_has_a_switch_for_each_sensor() -> None:
     setup = Setup()
 
-    assert [*setup.elements] == ["Show scan scan", "Show scan rear", "Show picture image_raw"]
+    assert [*setup.elements] == [
+        *("Show scan scan", "Show scan rear", "Show scan points", "Show picture image_raw")
+    ]
     assert not any(vars(box)["value"] for box in setup.elements.values())
 
 
@@ -95,6 +101,20 @@ def test_robot_has_one_cloud_of_all_its_scans() -> None:
 
     assert [*setup.nodes] == ["/scans/r1"]
     assert vars(setup.nodes["/scans/r1"])["points"].shape == (7, 3)
+
+
+def test_cloud_is_a_node_of_its_own_in_the_colours_of_heights() -> None:
+    setup = Setup()
+    setup.switch(SCAN, CLOUD)
+
+    setup.display.show(SensedFrame({SCAN: np.zeros((2, 3)), CLOUD: HEIGHTS}))
+
+    colours = vars(setup.nodes["/clouds/r1"])["colors"]
+    assert colours.shape == (3, 3)
+    assert len({*map(tuple, colours.tolist())}) == 3
+    assert tuple(vars(setup.nodes["/scans/r1"])["colors"]) == find_robot_colour("r1")
+    setup.switch(CLOUD, is_on=False)
+    assert [*setup.nodes] == ["/scans/r1"]
 
 
 def test_switched_off_sensors_are_removed() -> None:
@@ -131,8 +151,8 @@ def test_scans_stay_when_the_panel_is_closed() -> None:
     setup.elements.clear()
     setup.open_panel()
 
-    assert setup.display.chosen == {SCAN, REAR}
-    assert [vars(box)["value"] for box in setup.elements.values()] == [True, True, False]
+    assert setup.display.chosen == {SCAN, REAR, CLOUD}
+    assert [vars(box)["value"] for box in setup.elements.values()] == [True, True, True, False]
 
 
 def test_picture_is_updated_in_place() -> None:
