@@ -24,6 +24,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntitiesResponse,
     SpawnEntity,
     SpawnEntityOrder,
+    SpawnEntityReport,
 )
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
 from zensim.proto.se3 import to_yaw
@@ -32,6 +33,7 @@ from zensim.proto.service_catalog import (
     GET_SPAWNABLES,
     SET_ENTITY_STATE,
     SPAWN_ENTITIES,
+    SPAWN_ENTITY,
 )
 from zensim.spawner.page.page_theme import MUTED_BUTTON, STOP_BUTTON
 from zensim.spawner.page.pending_deletions import UNDO_S, PendingDeletions
@@ -77,7 +79,9 @@ class EditPanel(Panel):
         self._model.on_update(self._client.defer(self._mark_model))
         self._pictures, self._mark = gui.add_html(""), gui.add_html("")
         self._client.choose_model = self._choose_model
-        self._count = gui.add_number("Count", 1, min=1, max=MAX_COUNT, step=1)
+        self._count = gui.add_number(
+            "Count", 1, min=1, max=MAX_COUNT, step=1, hint=f"1 to {MAX_COUNT}."
+        )
         self._place = gui.add_vector2(
             "Place x, y [m]",
             (0.0, 0.0),
@@ -86,7 +90,7 @@ class EditPanel(Panel):
             step=0.1,
         )
         self._add_button("Place by click", self.pick_place, "Then click the floor.", MUTED_BUTTON)
-        self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
+        self._spawn = self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
         with gui.add_folder("Name, layout, heading", expand_by_default=False):
             self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
             self._layout = gui.add_dropdown("Layout", LAYOUTS)
@@ -154,8 +158,18 @@ class EditPanel(Panel):
             place=self._place.value,
             heading_rad=math.radians(self._heading.value),
         )
-        order = make_spawn_order(form)
-        self._client.call(SPAWN_ENTITIES, order, self._report, timeout_s=SPAWN_TIMEOUT_S)
+        # The button says that it works: a thousand robots take a minute.
+        self._spawn.disabled, self._spawn.label = True, "Spawning…"
+        orders = make_spawn_order(form)
+        if form.count > 1:
+            self._client.call(
+                SPAWN_ENTITIES, orders, self._report, SPAWN_TIMEOUT_S, self._end_spawn
+            )
+        else:
+            order = select_order(orders)
+            self._client.call(
+                SPAWN_ENTITY, order, self._report_one, SPAWN_TIMEOUT_S, self._end_spawn
+            )
 
     def move(self) -> None:
         """Move the selected entity to the numbers of the form."""
@@ -204,7 +218,18 @@ class EditPanel(Panel):
     def _set_place(self, x: float, y: float) -> None:
         self._place.value = (round(x, 3), round(y, 3))  # type: ignore[misc]
 
+    def _end_spawn(self, _: str = "") -> None:
+        self._spawn.disabled, self._spawn.label = False, "Spawn"
+
+    def _report_one(self, reply: SpawnEntityReport) -> None:
+        self._end_spawn()
+        self._client.inform(f"spawned {reply.entity_name}")
+        for entry in reply.report:
+            if entry.status == "suspicious":
+                self._client.warn(f"{reply.entity_name}: {entry.subject}: {entry.reason}")
+
     def _report(self, reply: SpawnEntitiesResponse) -> None:
+        self._end_spawn()
         names = [one.entity_name for one in reply.results if one.result.result == ResultCode.OK]
         reasons = [one.result.error_message for one in reply.results if one.result.error_message]
         own = [reason for reason in reasons if not reason.startswith(NOT_SPAWNED_PREFIX)]
@@ -265,9 +290,10 @@ class EditPanel(Panel):
 
     def _add_button(
         self, label: str, act: Callable[[], None], hint: str, colour: Rgb | None = None
-    ) -> None:
+    ) -> viser.GuiButtonHandle:
         button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
+        return button
 
 
 @cache
@@ -336,3 +362,14 @@ def make_spawn_order(form: SpawnForm) -> SpawnEntitiesOrder:
     resource = Resource(uri=SCHEME + form.model)
     common = SpawnEntityOrder(entity_resource=resource, snap_to_ground=True)
     return SpawnEntitiesOrder(tuple(orders), atomic=True, common=common)
+
+
+def select_order(orders: SpawnEntitiesOrder) -> SpawnEntityOrder:
+    """Make the order of the only entity of some orders: its reply has the report."""
+    (one,) = orders.spawn_requests
+    return msgspec.structs.replace(
+        orders.common,
+        name=one.name,
+        allow_renaming=one.allow_renaming,
+        initial_pose=one.initial_pose,
+    )

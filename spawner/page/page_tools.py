@@ -228,6 +228,9 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
   .mantine-Tabs-tab { flex: 1 1 auto; padding: 0 4px !important; }
   [data-zensim-part] :is(button, input) { min-height: 44px; }
   .zensim-rows, .zensim-rows.is-short { max-height: 40vh; }
+  /* All of the pad is in the sheet: Back beside the turns, Stop beside Forward. */
+  .zensim-pad { grid-template-rows: repeat(2, 52px); padding-top: 0; }
+  .zensim-pad .is-stop { grid-area: 1 / 3; } .zensim-pad .is-back { grid-area: 2 / 2; }
   .mantine-Button-root, .mantine-ActionIcon-root, .mantine-Input-input, .mantine-Tabs-tab,
   .mantine-Checkbox-inner, .mantine-Checkbox-input {
     min-width: 44px !important; min-height: 44px !important; }

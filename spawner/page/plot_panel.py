@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import msgspec
+import numpy as np
 import viser
 from viser import uplot
 
@@ -38,6 +39,8 @@ FREE_CHARTS: Final = ("Position", "Sensor")
 CHART_HEIGHT_PX: Final = 150
 TICK_PX: Final = 20
 """Least distance of ticks of the values."""
+LEGEND_SHARE: Final = 1e-3
+"""Share of the range of a chart below which a value is shown as zero."""
 AXIS_COLOUR: Final = "#8b929c"
 """Visible on light and dark ground."""
 FILE_NAME: Final = "zensim_plot.csv"
@@ -198,7 +201,10 @@ class Chart:
         data = history.make_arrays(columns)
         limits = find_axis_range(data[1:], has_zero=self._has_zero)
         pens = choose_pens(columns)
-        legend = make_legend_html(columns, pens, [line[-1:] for line in data[1:]])
+        # What is zero on the scale of the chart is zero in its legend.
+        least = LEGEND_SHARE * (limits[1] - limits[0])
+        newest = [np.where(np.abs(line[-1:]) < least, 0.0, line[-1:]) for line in data[1:]]
+        legend = make_legend_html(columns, pens, newest)
         if self._plot is not None and self._legend is not None and columns == self._columns:
             self._legend.content = legend
             if limits != self._range:

@@ -176,6 +176,19 @@ def test_a_refused_spawn_shows_the_reason_of_the_server(visitor: PageUser) -> No
     wait_for_notification(visitor, "'r1' already exists")
 
 
+def test_a_spawn_inside_another_robot_is_told(server: Server, visitor: PageUser) -> None:
+    wait_for_models(visitor)
+    place = state_of(server, "r1").pose.position
+    visitor.give("Model", "box_bot")
+    visitor.give("Name", "inside")
+    visitor.give("Place x, y [m]", (place.x, place.y))
+
+    visitor.press("Spawn")
+
+    wait_for_notification(visitor, "overlaps entity 'r1'")
+    server.client.delete("inside")
+
+
 def test_several_robots_are_spawned_in_a_layout(server: Server, visitor: PageUser) -> None:
     wait_for_models(visitor)
     visitor.give("Name", "line")

@@ -10,6 +10,7 @@ from zensim.spawner.page.edit_panel import (
     make_mark_html,
     make_pictures_html,
     make_spawn_order,
+    select_order,
 )
 from zensim.spawner.page.floor_picking import MAX_DISTANCE_M, find_floor_point
 
@@ -44,6 +45,18 @@ def test_one_robot_has_the_name_of_the_form_and_several_get_numbers() -> None:
     assert [order.name for order in one.spawn_requests] == ["r"]
     assert [order.name for order in three.spawn_requests] == ["r0", "r1", "r2"]
     assert not any(order.allow_renaming for order in three.spawn_requests)
+
+
+def test_order_of_one_robot_is_that_of_several() -> None:
+    form = SpawnForm(model="box_bot", name="r", place=(1.0, 2.0), heading_rad=0.5)
+    several = make_spawn_order(form)
+
+    one = select_order(several)
+
+    assert one.name == "r"
+    assert one.initial_pose == several.spawn_requests[0].initial_pose
+    assert (one.entity_resource.uri, one.snap_to_ground) == ("zensim://box_bot", True)
+    assert not one.allow_renaming
 
 
 def test_robots_without_a_name_are_named_by_the_server() -> None:
