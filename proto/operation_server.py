@@ -107,6 +107,10 @@ class StatusRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
         else:
             send()
 
+    def do_HEAD(self) -> None:
+        """Send the head of a page."""
+        self.do_GET()
+
     def _send_check(self, check: HealthCheck) -> None:
         code = HTTPStatus.SERVICE_UNAVAILABLE if check.fault else HTTPStatus.OK
         self._send(code, TEXT_TYPE, f"{check.line}\n".encode())
@@ -129,7 +133,8 @@ class StatusRequest(BoundedHttpRequest, BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.send_header("X-Content-Type-Options", "nosniff")
         self.end_headers()
-        self.wfile.write(body)
+        if self.command != "HEAD":
+            self.wfile.write(body)
 
 
 def open_operation_server(address: str, status: ProgramStatus) -> OperationServer:

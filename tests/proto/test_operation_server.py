@@ -44,6 +44,18 @@ def get(server: OperationServer, path: str) -> tuple[int, str]:
     return found
 
 
+@pytest.mark.parametrize("path", ["/livez", "/metrics", "/none"])
+def test_head_is_that_of_the_page_without_its_body(server: OperationServer, path: str) -> None:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10.0)
+    connection.request("HEAD", path)
+    response = connection.getresponse()
+
+    assert response.status == get(server, path)[0]
+    assert int(response.headers["Content-Length"]) > 0
+    assert response.read() == b""
+    connection.close()
+
+
 def test_nothing_is_served_without_an_address(status: ProgramStatus) -> None:
     with served_status("", status) as server:
         assert server is None
