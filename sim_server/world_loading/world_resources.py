@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
@@ -138,8 +139,12 @@ def _list_parts(uri: str, root: Path, list_folders: FolderNames) -> Iterator[str
     part = _strip_scheme(uri)
     if not part:
         return
-    yield part
     name, _, inside = part.partition("/")
+    model = resolve_below(root, name) if name and inside else None
+    if model is not None and (beside := posixpath.dirname(_find_model_file(model))):
+        # Gazebo resolves a relative path beside the file that names it.
+        yield f"{name}/{beside}/{inside}"
+    yield part
     if name == root.name and part != uri and inside:
         yield inside
 

@@ -61,6 +61,22 @@ def test_newest_version_in_the_config_is_read(folder: Path) -> None:
     assert make_model_resolver([folder])("model://crate") == "<new/>"
 
 
+def test_meshes_are_found_beside_a_model_file_in_a_folder_of_its_own(folder: Path) -> None:
+    (folder / "crate" / "model.config").write_text(
+        "<model><sdf version='1.9'>sdf/crate.sdf</sdf></model>", encoding="utf-8"
+    )
+    for name in ("sdf/near.stl", "meshes/far.stl"):
+        (folder / "crate" / name).parent.mkdir()
+        (folder / "crate" / name).write_bytes(b"")
+    find = make_file_finder([folder])
+
+    assert find("model://crate/near.stl") == folder.resolve() / "crate" / "sdf" / "near.stl"
+    assert find("model://crate/../meshes/far.stl") == (
+        folder.resolve() / "crate" / "meshes" / "far.stl"
+    )
+    assert find("model://crate/meshes/far.stl") == find("model://crate/../meshes/far.stl")
+
+
 @pytest.mark.parametrize("config", ["", "<model", "<model/>", "<model><sdf/></model>"])
 def test_default_file_is_read_when_the_config_lists_none(folder: Path, config: str) -> None:
     (folder / "crate" / "model.config").write_text(config, encoding="utf-8")
