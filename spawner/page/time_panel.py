@@ -116,6 +116,8 @@ class TimePanel(Panel):
         """Set the wanted real-time factor."""
         if factor != self._wanted_factor:
             self._wanted_factor = factor
+            # Statistics that come before the reply have the factor of before.
+            self._settled_at = time.monotonic() + SETTLE_S
             self._client.call(
                 SET_SPEED, SetSpeedRequest(factor), lambda _: self._show_factor(factor)
             )

@@ -228,9 +228,8 @@ def test_real_time_factor_is_set(page: Page) -> None:
         page.controls.write(FACTOR_FIELD, "1")
         return find_factor() == 1.0
 
-    # Slider and field follow the server once a second, also while they are used.
     eventually(slide, WITHIN_S, "about 2")
-    eventually(write, WITHIN_S, "1")
+    eventually(write, WITHIN_S, "1")  # the field follows the server, once a second
 
 
 GOAL = a_field("Time", "Time [s]")
