@@ -91,6 +91,20 @@ function showHead(place) {
   play.querySelector("path").setAttribute("d", ICONS[act]);
 }
 
+// ---- Connection: without one, viser sends by a mute function.
+
+const LOST = `<div><dt>State</dt><dd><span style="color:var(--zensim-red)">&#9679;</span>
+  no connection</dd></div><div role="alert">The page process has ended; start zensim up again</div>`;
+
+function showConnection() {
+  const page = window.__viserMutable, status = document.querySelector(".zensim-status");
+  const isLost = !!(status && page && /is not connected/.test(page.sendMessage));
+  document.documentElement.classList.toggle("zensim-lost", isLost);
+  if (!isLost || status.dataset.state === "lost") return;
+  status.dataset.state = "lost";  // a new connection has a new element
+  status.innerHTML = LOST;
+}
+
 // ---- List: only the rows within view exist.
 
 let entities = [], codes = "", speeds = [], selected = [], words = "", items = [], found = 0;
@@ -435,6 +449,7 @@ function closeNotice() {
 
 const FILLERS = {head: fillHead, list: fillList, pad: fillPad};
 function refresh() {
+  showConnection();
   for (const [part, fill] of Object.entries(FILLERS)) {
     places(part).forEach((place) => { if (!place.firstChild) fill(place); });
   }

@@ -12,7 +12,15 @@ from websockets.exceptions import InvalidStatus
 
 from tests.integration.chromium import HEIGHT, WIDTH, Chromium, Tab, open_page
 from tests.integration.page_client import connect_page, encode_camera
-from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
+from tests.integration.processes import (
+    END_S,
+    Server,
+    eventually,
+    free_endpoint,
+    running,
+    serving,
+    zensim,
+)
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
@@ -91,6 +99,11 @@ VIEW = """
 })()
 """
 """Looks at a robot from where it is so many pixels high; returns the height before."""
+IS_LIGHT = """(() => {
+  const ground = window.__viserSceneTree.getState()["/ground"];
+  return document.documentElement.getAttribute("data-mantine-color-scheme") === "light" &&
+    !!ground && ground.message.props.plane_color[0] > 128;
+})()"""
 CLICKED_PX = 15
 SELECT = """
 (window.zensimAskedAt > performance.now() - 3000 || (window.zensimAskedAt = performance.now(),
@@ -352,6 +365,28 @@ def test_page_recovers_when_the_server_is_replaced() -> None:
                 assert zensim(*fleet, "--connect", endpoint).returncode == 0
                 tab.until("document.body.innerText.includes('Robots\\n3')")
                 tab.until(f"{BATCHES}.every(([path, count]) => count === 3)")
+
+
+@pytest.mark.browser
+def test_page_says_that_its_process_has_ended_and_is_as_before_with_the_next(
+    server: Server,
+) -> None:
+    port = free_endpoint().rpartition(":")[2]
+    options = ("view", "--connect", server.endpoint, "--port", port)
+    with Chromium() as browser:
+        tab = browser.tab()
+        light = {"name": "prefers-color-scheme", "value": "light"}
+        tab.call("Emulation.setEmulatedMedia", features=[light])
+        with running(*options) as process:
+            assert process.stdout is not None
+            tab.open(process.stdout.readline().split()[1])
+            tab.until(SELECT % ("box_bot1", "Stop following"))
+            tab.until(IS_LIGHT)
+
+        tab.until("document.body.innerText.includes('no connection')")
+        assert "playing" not in text_of(tab)
+        with running(*options):
+            tab.until("document.body.innerText.includes('playing')")
 
 
 def test_snapshots_are_requested_only_while_a_page_is_open() -> None:

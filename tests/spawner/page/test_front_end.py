@@ -16,7 +16,7 @@ SIZES = {"wide": (1280, 800), "phone": (390, 844)}
 SET_UP = """
 document.body.innerHTML = `<dl class="zensim-status" data-state="playing"></dl>
   <div data-zensim-part="head"></div><div data-zensim-part="list" data-empty="Nothing."></div>
-  <div data-zensim-part="pad"></div>`;
+  <div data-zensim-part="pad"></div><canvas></canvas>`;
 document.head.append(Object.assign(document.createElement("meta"),
   {name: "viewport", content: "width=device-width, initial-scale=1"}));
 document.head.append(Object.assign(document.createElement("style"), {textContent: STYLE}));
@@ -28,6 +28,7 @@ window.robots = [...Array(1000).keys()].map((i) => [`r${i}`, 0, "box_bot", "#007
 true
 """
 BUTTON = "[...document.querySelectorAll('button')].find((one) => one.innerText.trim() === '%s')"
+IS_GREY = "getComputedStyle(document.querySelector('canvas')).filter.includes('grayscale')"
 PLACE = """
 (() => {
   const box = %s.getBoundingClientRect();
@@ -176,3 +177,19 @@ def test_stop_of_the_pad_stops(page: Tab) -> None:
     press(page, "Stop")
 
     assert take_sent(page) == ["stop"]
+
+
+MUTE = "(message) => console.log(`Tried to send ${message.type} but websocket is not connected!`)"
+
+
+def test_a_page_without_its_process_says_so_in_grey(page: Tab) -> None:
+    page.evaluate(
+        f"window.send = __viserMutable.sendMessage, __viserMutable.sendMessage = {MUTE}, 0"
+    )
+
+    page.until("document.querySelector('.zensim-status').innerText.includes('no connection')")
+
+    assert page.evaluate("document.querySelector('.zensim-status [role=alert]').innerText")
+    assert page.evaluate(IS_GREY)
+    page.evaluate("__viserMutable.sendMessage = window.send, 0")
+    page.until(f"!{IS_GREY}")
