@@ -316,14 +316,15 @@ const toWorld = ({x, y, z}) => [-z, -x, y].map((v) => Number(v.toFixed(4)));
 let selected = "";
 window.zensimSelected = (names) => { selected = names[0] || ""; zensimMarks(names); };
 
-// What the address of the page asks for is sent until the page has it.
+// What the address of the page asks for is sent until the page has it; the theme, also to the
+// process of the page that comes after another one.
 const asked = new URLSearchParams(location.search);
 let wantedRobot = asked.get("robot") || "", wantedTheme = firstTheme();
 async function askForLinked() {
   const ground = page() && window.__viserSceneTree.getState()["/ground"];
   if (!ground) return;  // the theme of the page has not come yet
-  if ((ground.message.props.plane_color[0] < 128) === wantedTheme) wantedTheme = null;
-  if (wantedTheme !== null) send({type: "ZensimTheme", is_dark: wantedTheme});
+  const isGroundDark = ground.message.props.plane_color[0] < 128;
+  if (isGroundDark !== wantedTheme) send({type: "ZensimTheme", is_dark: wantedTheme});
   if (selected === wantedRobot) wantedRobot = "";
   if (!wantedRobot) return;
   const response = await fetch("/names").catch(() => null);

@@ -342,6 +342,11 @@ class ViewerClient:
         """Run a script in the browser."""
         run_script(self.client, source)
 
+    def begin(self, *, is_grey: bool) -> None:
+        """Let the browser forget the selection of an earlier visit, if it has reconnected."""
+        self.run_script("zensimSelected([]); zensimDrives(false)")
+        self.grey(is_grey=is_grey)
+
     def grey(self, *, is_grey: bool) -> None:
         """Show the scene without colours, or with them."""
         self.run_script(f"zensimGreys({json.dumps(is_grey)})")

@@ -345,6 +345,5 @@ class ViewerPage:
                 "Time": partial(TimePanel, run=self._run),
             }
         client.add_tabs({**self._more_panels, **PANELS, **acting})
-        if self._is_grey:
-            client.grey(is_grey=True)
+        client.begin(is_grey=self._is_grey)
         return client

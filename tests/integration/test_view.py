@@ -387,6 +387,9 @@ def test_page_says_that_its_process_has_ended_and_is_as_before_with_the_next(
         assert "playing" not in text_of(tab)
         with running(*options):
             tab.until("document.body.innerText.includes('playing')")
+            tab.evaluate("new Promise(done => setTimeout(done, 1000))")
+            tab.until(IS_LIGHT)
+            assert tab.evaluate("document.querySelectorAll('[aria-pressed=true]').length") == 0
 
 
 def test_snapshots_are_requested_only_while_a_page_is_open() -> None:
