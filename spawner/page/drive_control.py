@@ -63,6 +63,8 @@ class DriveControl:
 
     def __init__(self) -> None:
         self._holds: dict[str, Hold] = {}
+        self._refused: set[tuple[int, str]] = set()
+        """Visitors whose held input drives a robot only after its end, as it was not theirs."""
 
     def find_driver(self, robot: str) -> int | None:
         """Find the visitor that drives a robot."""
@@ -83,10 +85,19 @@ class DriveControl:
     def drive(self, visitor: int, robot: str, velocity: Velocity, now_s: float) -> None:
         """Drive a robot for `HOLD_S`, or stop it; either ends its path.
 
+        An input that began while another visitor had the robot, or took it, has no effect.
+
         Raises:
             RobotBusy: Another visitor drives it.
         """
-        if velocity == STOP and self.find_driver(robot) != visitor:
+        driver = self.find_driver(robot)
+        if velocity == STOP:
+            self._refused.discard((visitor, robot))
+            if driver != visitor:
+                return
+        elif driver not in (visitor, None):
+            self._refused.add((visitor, robot))
+        elif (visitor, robot) in self._refused:
             return
         hold = self._take(visitor, robot)
         hold.path = None
@@ -123,18 +134,22 @@ class DriveControl:
         """Give a robot to a visitor, and stop it; return who drove it before, if another did."""
         hold = self._holds.get(robot)
         before = hold.visitor if hold else None
+        if hold and before not in (visitor, None) and hold.velocity != STOP and not hold.path:
+            self._refused.add((before, robot))
         hold = self._holds[robot] = Hold(visitor)
         _stop(hold, now_s)
         return None if before == visitor else before
 
     def release(self, visitor: int, now_s: float) -> None:
         """Stop the robots that a visitor drives by hand, as its page was hidden."""
+        self._refused = {one for one in self._refused if one[0] != visitor}
         for hold in self._holds.values():
             if hold.visitor == visitor and hold.path is None:
                 _stop(hold, now_s)
 
     def leave(self, visitor: int, now_s: float) -> None:
         """Stop all robots of a visitor whose page is closed or out of reach."""
+        self.release(visitor, now_s)
         for hold in self._holds.values():
             if hold.visitor == visitor:
                 hold.visitor, hold.path = None, None

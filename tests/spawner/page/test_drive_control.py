@@ -1,6 +1,7 @@
 """Who drives which robot from the page, and when it is stopped."""
 
 import itertools
+from contextlib import suppress
 
 import pytest
 
@@ -93,6 +94,7 @@ def test_a_second_visitor_is_refused_until_the_first_has_stopped_for_a_while() -
     run(control, 0.0, 1.0)
     assert control.find_driver("r1") == ANN
     run(control, HOLD_S + KEEP_S, HOLD_S + KEEP_S + 0.1)
+    control.drive(BOB, "r1", STOP, 10.0)
     control.drive(BOB, "r1", AHEAD, 10.0)
 
     assert control.find_driver("r1") == BOB
@@ -117,6 +119,42 @@ def test_taking_over_stops_the_robot_and_names_who_drove() -> None:
     assert control.take_over(BOB, "r1", 0.1) is None
     with pytest.raises(RobotBusy):
         control.drive(ANN, "r1", AHEAD, 0.2)
+
+
+def hold_beyond(control: DriveControl, end_s: float) -> None:
+    """Repeat the input of a key that ANN holds, and that another visitor may refuse."""
+    for number in range(2, round(end_s / REPEAT_S)):
+        with suppress(RobotBusy):
+            control.drive(ANN, "r1", AHEAD, number * REPEAT_S)
+        control.take_due(number * REPEAT_S)
+
+
+@pytest.mark.parametrize("is_over", [STOP, None], ids=["released", "left"])
+def test_a_key_that_is_held_during_a_take_over_drives_after_it_is_pressed_anew(
+    is_over: Velocity | None,
+) -> None:
+    control = DriveControl()
+    control.drive(ANN, "r1", AHEAD, 0.0)
+    control.take_over(BOB, "r1", 0.1)
+
+    hold_beyond(control, 2 * KEEP_S)
+    assert control.find_driver("r1") is None
+    if is_over is None:
+        control.release(ANN, 2 * KEEP_S)
+    else:
+        control.drive(ANN, "r1", is_over, 2 * KEEP_S)
+    control.drive(ANN, "r1", AHEAD, 2 * KEEP_S)
+
+    assert control.find_driver("r1") == ANN
+
+
+def test_a_key_that_was_held_in_vain_drives_after_it_is_pressed_anew() -> None:
+    control = DriveControl()
+    control.drive(BOB, "r1", AHEAD, 0.1)
+
+    hold_beyond(control, 2 * KEEP_S)
+
+    assert control.find_driver("r1") is None
 
 
 def test_a_visitor_that_leaves_stops_and_frees_all_its_robots() -> None:
