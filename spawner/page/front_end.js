@@ -7,7 +7,11 @@ const CATEGORIES = ["Robots", "Objects", "World"];
 const STATUSES = {
   m: "moving", s: "standing", z: "asleep", n: "no agent", b: "blocked", t: "static",
 };
-const RESETS = ["time and poses", "poses", "time", "all"];
+const RESETS = {
+  "time and poses": "Time and poses", poses: "Poses", time: "Time",
+  all: "All, delete what was spawned",
+};
+const SURE = "Press again to delete for all visitors", SURE_MS = 5000;
 const PAD = [
   ["forward", "KeyW", "Forward", "W"], ["left", "KeyA", "Turn left", "A"],
   ["right", "KeyD", "Turn right", "D"], ["back", "KeyS", "Backward", "S"],
@@ -59,12 +63,21 @@ function fillHead(place) {
   const open = (isOpen) => {
     menu.hidden = !isOpen;
     reset.setAttribute("aria-expanded", isOpen);
+    menu.lastElementChild.textContent = RESETS.all;
     if (isOpen) menu.firstElementChild.focus();
   };
-  for (const scope of RESETS) {
-    const text = scope.replace("all", "all, delete what was spawned"), act = `Reset ${scope}`;
-    make(menu, "button", {type: "button", role: "menuitem"}, text[0].toUpperCase() + text.slice(1))
-      .addEventListener("click", () => { open(false); send({type: "ZensimAct", act}); });
+  for (const [scope, text] of Object.entries(RESETS)) {
+    const item = make(menu, "button", {type: "button", role: "menuitem"}, text);
+    item.addEventListener("click", (event) => {
+      if (event.detail > 1) return;  // a double click is no second thought
+      if (scope === "all" && item.textContent !== SURE) {
+        item.textContent = SURE;
+        setTimeout(() => { item.textContent = text; }, SURE_MS);
+        return;
+      }
+      open(false);
+      send({type: "ZensimAct", act: `Reset ${scope}`});
+    });
   }
   box.addEventListener("focusout", (event) => {
     if (!menu.hidden && !box.contains(event.relatedTarget)) open(false);

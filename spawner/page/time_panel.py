@@ -31,6 +31,7 @@ from zensim.spawner.page.page_theme import MUTED_BUTTON
 from zensim.spawner.page.shortcuts import PLAY_OR_PAUSE, RESET, STEP_ONCE
 from zensim.spawner.page.side_panel import AMBER, is_short
 from zensim.spawner.page.viewer_client import PageState, Panel, ViewerClient
+from zensim.spawner.page.world_calls import RESET_TIMEOUT_S
 from zensim.spawner.page.world_run import RunActive, WorldRun
 
 ENGINE_SHARE: Final = 0.7
@@ -176,7 +177,8 @@ class TimePanel(Panel):
 
     def _reset(self) -> None:
         scope = ResetScope.TIME | ResetScope.STATE
-        self._client.call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
+        request = ResetSimulationRequest(scope=scope)
+        self._client.call(RESET_SIMULATION, request, timeout_s=RESET_TIMEOUT_S)
 
 
 def make_factor_html(stats: Stats, step_s: float) -> str:

@@ -35,7 +35,7 @@ from zensim.spawner.page.script_messages import HeadOrder
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_data import MonotonicClock, ViewerDataSource
-from zensim.spawner.page.world_calls import WorldCalls
+from zensim.spawner.page.world_calls import RESET_TIMEOUT_S, WorldCalls
 
 RESETS: Final[Mapping[str, int]] = {
     "Reset time and poses": ResetScope.TIME | ResetScope.STATE,
@@ -99,7 +99,10 @@ class PageProtocol(Protocol):
         """Show that no server replies."""
 
     def warn(self, text: str) -> None:
-        """Notify all clients."""
+        """Notify all clients of a failure."""
+
+    def inform(self, text: str) -> None:
+        """Notify all clients of what works."""
 
 
 class Viewer:
@@ -178,7 +181,10 @@ class Viewer:
         self._page.move_cameras()
         if source.error_text != self._error_text:
             self._error_text = source.error_text
-            self._page.warn(source.error_text or "the models of the robots are available again")
+            if source.error_text:
+                self._page.warn(source.error_text)
+            else:
+                self._page.inform("the models of the robots are available again")
 
     def _handle_button(self, button: HeadOrder) -> None:
         if button == "Play":
@@ -190,12 +196,16 @@ class Viewer:
                 self._set_state(State.PAUSED)
             self._call(STEP_SIMULATION, StepSimulationRequest(steps=1))
         else:
-            self._call(RESET_SIMULATION, ResetSimulationRequest(scope=RESETS[button]))
+            request = ResetSimulationRequest(scope=RESETS[button])
+            self._call(RESET_SIMULATION, request, RESET_TIMEOUT_S)
 
     def _set_state(self, state: State) -> None:
         self._call(
             SET_SIMULATION_STATE, SetSimulationStateRequest(state=SimulationState(state=state))
         )
 
-    def _call(self, service: Service[Request, Response], request: Request) -> None:
-        self._calls.make(WorldCall(service, request, on_error=self._page.warn))
+    def _call(
+        self, service: Service[Request, Response], request: Request, timeout_s: float = 0.0
+    ) -> None:
+        call = WorldCall(service, request, on_error=self._page.warn, timeout_s=timeout_s)
+        self._calls.make(call)

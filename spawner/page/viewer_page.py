@@ -236,9 +236,14 @@ class ViewerPage:
         self._set_grey(is_grey=True)
 
     def warn(self, text: str) -> None:
-        """Notify all clients."""
+        """Notify all clients of a failure."""
         for client in self._connected_clients():
             client.warn(text)
+
+    def inform(self, text: str) -> None:
+        """Notify all clients of what works."""
+        for client in self._connected_clients():
+            client.inform(text)
 
     def end_visits(self) -> list[Order]:
         """End what visitors have begun, as nobody can undo it any more; return their orders."""

@@ -16,6 +16,8 @@ from zensim.spawner.page.side_panel import WorldCall, ignore
 
 CALL_TIMEOUT_S: Final = 0.8
 """Short, so that Ctrl-C takes effect within a second."""
+RESET_TIMEOUT_S: Final = 60.0
+"""Time limit of a long call that resets: a thousand entities take seconds."""
 LAST_CALLS_S: Final = 1.0
 """Time limit of all calls at the end of the program."""
 MAX_LONG_CALLS: Final = 64

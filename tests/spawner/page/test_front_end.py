@@ -161,6 +161,16 @@ def test_reset_asks_what_to_reset(page: Tab) -> None:
     assert page.evaluate("document.querySelector('.zensim-menu > [role=menu]').hidden")
 
 
+def test_a_reset_that_deletes_is_asked_for_twice(page: Tab) -> None:
+    press(page, "Reset")
+    press(page, "All, delete what was spawned")
+    assert take_sent(page) == []
+
+    press(page, "Press again to delete for all visitors")
+
+    assert take_sent(page) == [{"type": "ZensimAct", "act": "Reset all"}]
+
+
 @pytest.mark.parametrize(
     ("name", "code"),
     [("Forward", "KeyW"), ("Turn left", "KeyA"), ("Turn right", "KeyD"), ("Backward", "KeyS")],

@@ -43,6 +43,7 @@ from zensim.spawner.page.script_messages import HeadOrder
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall
 from zensim.spawner.page.viewer_loop import POLL_S, Viewer
+from zensim.spawner.page.world_calls import RESET_TIMEOUT_S
 
 SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
 
@@ -60,6 +61,7 @@ class FakePage:
         self.pressed: list[Order] = []
         self.shown: list[tuple[SimulationStatus, Mapping[str, LastCommand]]] = []
         self.warnings: list[str] = []
+        self.notices: list[str] = []
         self.losses = 0
         self.last: list[Order] = []
         self._clock = clock
@@ -96,6 +98,9 @@ class FakePage:
 
     def warn(self, text: str) -> None:
         self.warnings.append(text)
+
+    def inform(self, text: str) -> None:
+        self.notices.append(text)
 
 
 class Setup:
@@ -201,7 +206,7 @@ def test_viewer_warns_once_without_models() -> None:
     setup.server.is_silent = False
     setup.tick("playing")
 
-    assert len(setup.page.warnings) == 2
+    assert len(setup.page.warnings) == len(setup.page.notices) == 1
 
 
 def set_state(state: State) -> SetSimulationStateRequest:
@@ -225,8 +230,19 @@ def test_button_calls_its_service(button: HeadOrder, request_: object) -> None:
 
     setup.press(button)
 
-    assert setup.server.requests == [request_]
+    eventually(lambda: setup.server.requests == [request_], 10.0, "the request")
     assert setup.page.warnings == []
+
+
+def test_a_reset_may_take_longer_than_drawing_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup = Setup()
+    limits: list[object] = []
+    monkeypatch.setattr(setup.bus, "call", lambda *_, **options: limits.append(options))
+
+    setup.press("Reset all")
+
+    eventually(lambda: limits, 10.0, "the call")
+    assert limits == [{"world": "default", "timeout_s": RESET_TIMEOUT_S}]
 
 
 def test_step_button_pauses_a_playing_world() -> None:
@@ -285,7 +301,11 @@ def test_viewer_warns_without_a_reply(monkeypatch: pytest.MonkeyPatch) -> None:
 
     setup.press(*get_args(HeadOrder))
 
-    assert len(setup.page.warnings) == len(get_args(HeadOrder))
+    def look() -> bool:
+        setup.tick()
+        return len(setup.page.warnings) == len(get_args(HeadOrder))
+
+    eventually(look, 10.0, "warnings")
 
 
 SCAN_CHOICE = SensorChoice("r1", "scan")
