@@ -49,7 +49,13 @@ Order = HeadOrder | WorldCall
 AMBER: Final = "var(--zensim-amber)"
 """Colour of what is not as wanted; the style sheet of the page has a tone for each theme."""
 RED: Final = "var(--zensim-red)"
-STATE_COLOURS: Final = {"playing": "var(--zensim-green)", "paused": AMBER}
+CONNECTING: Final = SimulationStatus(state="connecting…")
+"""Until the first state has come, or none has come for a while."""
+STATE_COLOURS: Final = {
+    "playing": "var(--zensim-green)",
+    "paused": AMBER,
+    CONNECTING.state: "var(--mantine-color-dimmed)",
+}
 """Colours of the state; any other state is red."""
 SHORT: Final = 0.95
 """Share of the wanted real-time factor below which it counts as not reached."""

@@ -39,7 +39,13 @@ from zensim.spawner.page.script_messages import (
 )
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
-from zensim.spawner.page.side_panel import Order, WatchedTopic, WorldCall, make_status_html
+from zensim.spawner.page.side_panel import (
+    CONNECTING,
+    Order,
+    WatchedTopic,
+    WorldCall,
+    make_status_html,
+)
 from zensim.spawner.page.time_panel import TimePanel
 from zensim.spawner.page.view_panel import ViewPanel
 from zensim.spawner.page.viewer_client import PageState, PanelFactory, ViewerClient
@@ -130,7 +136,7 @@ class ViewerPage:
         self._lighting = SceneLighting(self._server.scene)
         self._lighting.show(Scene())
         self._fleet_nodes = FleetNodes(self._server.scene, self._pick)
-        self._status = self._server.gui.add_html(make_status_html(SimulationStatus()))
+        self._status = self._server.gui.add_html(make_status_html(CONNECTING))
         if driver is not None:
             self._server.gui.add_html(HEAD)
         self._server.on_client_connect(

@@ -20,6 +20,7 @@ from websockets.sync.client import ClientConnection
 
 from tests.fakes import MemoryBus
 from tests.integration.page_client import (
+    PageVisitor,
     connect_page,
     encode_act,
     encode_camera,
@@ -45,6 +46,7 @@ from zensim.spawner.page.render_state import (
 )
 from zensim.spawner.page.robot_driver import RobotDriver
 from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
+from zensim.spawner.page.side_panel import RED
 from zensim.spawner.page.viewer_page import TEXT_PERIOD_S, ViewerPage
 
 TOKEN, OTHER_TOKEN = "7f3a-page", "9c1e-page"
@@ -369,6 +371,18 @@ def test_the_page_of_another_site_is_refused_even_with_the_cookie(
 
     with pytest.raises(InvalidStatus, match="403"):
         connect_page(url, "http://evil.example", cookie_of(url))
+
+
+def test_head_connects_until_the_server_is_found_or_missed(
+    page: ViewerPage, visitor: ClientConnection
+) -> None:
+    shown = PageVisitor(visitor)
+    eventually(lambda: "connecting" in shown.texts(), 5.0, "the first state")
+    assert RED not in shown.texts()
+
+    page.show_disconnected()
+
+    eventually(lambda: "no server" in shown.texts(), 5.0, "the next state")
 
 
 def read_page(page: ViewerPage) -> str:
