@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+import viser
+
 from zensim.proto.path_following import PathController
 from zensim.proto.printable_text import to_html
 from zensim.proto.se3 import to_yaw
@@ -50,7 +52,10 @@ class DrivePanel(Panel):
         )
         gui.add_html(PAD)
         self._add_button("Drive to", self.drive_to, f"Then click the floor; {DRIVE_TO.keys}")
-        self._add_button("Take over", self.take_over, f"From another visitor; {TAKE_OVER.keys}")
+        self._take_over = self._add_button(
+            "Take over", self.take_over, f"From another visitor; {TAKE_OVER.keys}"
+        )
+        self._take_over.disabled = True
         self._add_button(
             "Stop all", self.stop_all, f"Stops every robot; {STOP_ALL.keys}", STOP_BUTTON
         )
@@ -101,6 +106,7 @@ class DrivePanel(Panel):
         if before and before != self._robot:
             self._driver.drive(self._visitor, before, STOP)
         if bool(before) != bool(self._robot):
+            self._take_over.disabled = not self._robot
             self._client.run_script(f"zensimDrives({json.dumps(bool(self._robot))})")
 
     def receive(self, message: ScriptMessage) -> None:
@@ -171,9 +177,10 @@ class DrivePanel(Panel):
 
     def _add_button(
         self, label: str, act: Callable[[], None], hint: str, colour: Rgb = MUTED_BUTTON
-    ) -> None:
+    ) -> viser.GuiButtonHandle:
         button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
+        return button
 
 
 def _make_html(text: str) -> str:

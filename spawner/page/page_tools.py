@@ -206,8 +206,8 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
 /* The scroll bar of the panel covers nothing. */
 .mantine-ScrollArea-scrollbar[data-orientation=vertical] { width: 6px !important;
   padding: 0 1px !important; }
-/* Six tabs in one row of a panel 320 pixels wide. */
-[data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; }
+/* Six tabs in one row of a panel 320 pixels wide; the one that is shown is no wider. */
+[data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; font-weight: 600 !important; }
 /* Head and tabs stay in view while the panel scrolls; boxes that may scroll would hold them. */
 @media (min-width: 641px) {
   .mantine-ScrollArea-content [style*="overflow: hidden"]:has(.zensim-status, [data-dock-strip]) {

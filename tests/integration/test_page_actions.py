@@ -141,12 +141,23 @@ def test_a_click_on_the_sky_is_refused(visitor: PageUser) -> None:
     wait_for_notification(visitor, "not on the floor")
 
 
-@pytest.mark.parametrize("label", ["Drive to", "Take over", "Move", "Delete"])
+@pytest.mark.parametrize("label", ["Drive to", "Move", "Delete"])
 def test_controls_of_the_selected_entity_say_that_there_is_none(url: str, label: str) -> None:
     with PageUser(url) as visitor:
         visitor.press(label)
 
         wait_for_notification(visitor, "selected")
+
+
+def test_only_a_selected_robot_can_be_taken_over(visitor: PageUser) -> None:
+    def is_off() -> bool:
+        return bool(visitor.control("Take over")["props"]["disabled"])
+
+    assert is_off()
+
+    select(visitor, "r1")
+
+    eventually(lambda: not is_off(), 10.0, "the button")
 
 
 def test_a_spawned_robot_stands_where_the_floor_was_clicked(

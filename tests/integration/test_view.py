@@ -243,6 +243,20 @@ def test_head_and_tabs_stay_in_view_while_the_panel_scrolls(shown: Shown) -> Non
 
 
 @pytest.mark.browser
+def test_tabs_keep_their_places_when_another_is_shown(shown: Shown) -> None:
+    places = "[...document.querySelectorAll('[role=tab]')].map((one) => one.offsetLeft)"
+    before = shown.tab.evaluate(places)
+
+    shown.tab.turn_to("Plots")
+    shown.tab.until(
+        "document.querySelector('[role=tab][title=Plots][aria-selected=true]') !== null"
+    )
+
+    assert shown.tab.evaluate(places) == before
+    shown.tab.turn_to("Entities")
+
+
+@pytest.mark.browser
 def test_name_appears_when_the_pointer_is_over_a_robot(shown: Shown) -> None:
     tip = "document.getElementById('zensim-name')"
     name = f"{tip}.style.display === 'block' && {tip}.textContent"
