@@ -497,7 +497,9 @@ function nameControls() {
   }
 }
 
-// Folders of the library open by a click only; these are buttons for the keyboard, too.
+// Folders of the library open by a click only; these are buttons for the keyboard, too. One that
+// is made anew with the next selection is as the visitor left it.
+const foldStates = new Map();
 function nameFolds() {
   for (const icon of document.querySelectorAll(
     "svg.tabler-icon-chevron-up, svg.tabler-icon-chevron-down")) {
@@ -514,6 +516,9 @@ function nameFolds() {
       event.preventDefault();
       fold.click();
     });
+    const label = fold.innerText, isOpen = () => !!fold.querySelector(".tabler-icon-chevron-up");
+    fold.addEventListener("click", () => foldStates.set(label, !isOpen()));
+    if (isOpen() !== (foldStates.get(label) ?? isOpen())) fold.click();
   }
 }
 

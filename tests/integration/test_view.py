@@ -256,6 +256,23 @@ def test_tabs_keep_their_places_when_another_is_shown(shown: Shown) -> None:
     shown.tab.turn_to("Entities")
 
 
+LINKS = """
+[...document.querySelectorAll(".zensim-fold")].find((one) => one.innerText === "Links and sensors")
+"""
+
+
+@pytest.mark.browser
+def test_an_opened_folder_stays_open_with_the_next_selection(shown: Shown) -> None:
+    shown.tab.until(f"{SELECT % ('box_bot1', 'Stop following')} && !!{LINKS.strip()}")
+    shown.tab.evaluate(f"(window.opened = {LINKS.strip()}).click()")
+
+    shown.tab.until(SELECT % ("box_bot2", "Stop following"))
+
+    shown.tab.until(f"{LINKS.strip()} !== window.opened")
+    shown.tab.until(f"{LINKS.strip()}.getAttribute('aria-expanded') === 'true'")
+    shown.tab.evaluate(f"{LINKS.strip()}.click()")
+
+
 @pytest.mark.browser
 def test_name_appears_when_the_pointer_is_over_a_robot(shown: Shown) -> None:
     tip = "document.getElementById('zensim-name')"
