@@ -124,7 +124,9 @@ class EntityDetails:
         with folder:
             self._add_texts(selected)
         views = {one: view for one, view in fleet.sensors.items() if one.entity == selected[0]}
-        client.sensors.open_panel(folder, views, self._switch)
+        with folder:
+            sensors = client.gui.add_folder(None)  # pictures come below their switches
+        client.sensors.open_panel(sensors, views, self._switch)
         with folder, client.gui.add_folder("Links and sensors", expand_by_default=False):
             client.gui.add_html(make_tree_html(fleet.model_of(selected[0])))
 

@@ -482,6 +482,11 @@ function nameControls() {
   for (const icon of document.querySelectorAll("svg:not([aria-hidden]):not([aria-label])")) {
     icon.setAttribute("aria-hidden", "true");
   }
+  for (const picture of document.querySelectorAll(".mantine-ScrollArea-content img:not([alt])")) {
+    if (!picture.naturalHeight) continue;
+    picture.alt = `Picture of ${findLabel(picture)}`;
+    picture.scrollIntoView({block: "nearest"});  // it may be below the window
+  }
   for (const input of document.querySelectorAll(INPUTS)) {
     // A label that may break is read with a space there.
     const label = input.labels && input.labels[0];

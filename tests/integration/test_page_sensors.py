@@ -75,6 +75,15 @@ PICTURES = """
 })
 """
 """Pixels of the pictures of cameras in the panel."""
+BESIDE_SWITCHES = """
+(() => {
+  const {top, bottom} = document.querySelector("img[alt='Picture of %s']").getBoundingClientRect();
+  const places = [...document.querySelectorAll("label, .zensim-fold")].filter((one) =>
+    /^(Show|Links)/.test(one.innerText)).map((one) => one.getBoundingClientRect().top);
+  return bottom <= innerHeight && places.filter((one) => one > top).length === 1;
+})()
+"""
+"""Whether a picture is in view, after all switches and before the next folder."""
 LABEL = "[...document.querySelectorAll('label')].find((one) => one.innerText === '%s')"
 HOSTILE_SCANS = (
     b"",
@@ -199,6 +208,8 @@ def test_switch_shows_a_picture_until_switched_off(shown: Shown, label: str) -> 
     shown.tab.until(f"{PICTURES}.length === 1", 120.0)
     (pixels,) = shown.tab.evaluate(PICTURES)
     assert np.array(pixels).reshape(-1, 4)[:, :3].std(axis=0).min() > 5.0
+    topic = label.removeprefix("Show picture ")
+    shown.tab.until(BESIDE_SWITCHES % topic)
 
     shown.switch(label)
     shown.wait_until_unsubscribed()
