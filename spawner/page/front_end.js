@@ -7,10 +7,8 @@ const CATEGORIES = ["Robots", "Objects", "World"];
 const STATUSES = {
   m: "moving", s: "standing", z: "asleep", n: "no agent", b: "blocked", t: "static",
 };
-const RESETS = {
-  "time and poses": "Time and poses", poses: "Poses", time: "Time",
-  all: "All, delete what was spawned",
-};
+const RESETS = {"time and poses": "Time and poses", poses: "Poses", time: "Time",
+  all: "All, delete what was spawned"};
 const SURE = "Press again to delete for all visitors", SURE_MS = 5000;
 const PAD = [
   ["forward", "KeyW", "Forward", "W"], ["left", "KeyA", "Turn left", "A"],

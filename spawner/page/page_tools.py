@@ -216,7 +216,8 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
   .mantine-ScrollArea-content [data-dock-strip] { position: sticky; top: 0; z-index: 7;
     background-color: var(--mantine-color-body); }
   :has(> [data-zensim-part=head]) { top: var(--zensim-status-px, 0); }
-  .mantine-ScrollArea-content [data-dock-strip] { top: var(--zensim-head-px, 0); z-index: 6; }
+  .mantine-ScrollArea-content [data-dock-strip] { top: var(--zensim-head-px, 0); z-index: 8; }
+  :has(> [data-zensim-part=head] [aria-expanded=true]) { z-index: 9; }  /* its menu */
 }
 .zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;
   padding: 0 .7em .4em; }
