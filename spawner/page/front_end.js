@@ -9,7 +9,7 @@ const STATUSES = {
 };
 const RESETS = {"time and poses": "Time and poses", poses: "Poses", time: "Time",
   all: "All, delete what was spawned"};
-const SURE = "Press again to delete for all visitors", SURE_MS = 5000;
+const SURE = "Press again to delete all", SURE_MS = 5000;
 const PAD = [
   ["forward", "KeyW", "Forward", "W"], ["left", "KeyA", "Turn left", "A"],
   ["right", "KeyD", "Turn right", "D"], ["back", "KeyS", "Backward", "S"],

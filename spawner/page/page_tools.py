@@ -135,6 +135,7 @@ STYLE: Final = """
 .zensim-status dt { font-size: 10.5px; color: var(--mantine-color-dimmed); }
 .zensim-status dd { margin: 0; font-weight: 600; white-space: nowrap; }
 .zensim-lost canvas { filter: grayscale(1) brightness(.6); }
+.zensim-lost [style*="opacity"]:has(.zensim-status) { opacity: 1 !important; }  /* else pale */
 [data-zensim-part] { font: 13px/1.3 var(--mantine-font-family); color: var(--zensim-text); }
 [data-zensim-part] button { font: inherit; color: inherit; cursor: pointer; display: inline-flex;
   align-items: center; justify-content: center; gap: 5px; min-height: 32px; border-radius: 6px;

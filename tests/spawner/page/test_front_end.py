@@ -166,7 +166,7 @@ def test_a_reset_that_deletes_is_asked_for_twice(page: Tab) -> None:
     press(page, "All, delete what was spawned")
     assert take_sent(page) == []
 
-    press(page, "Press again to delete for all visitors")
+    press(page, "Press again to delete all")
 
     assert take_sent(page) == [{"type": "ZensimAct", "act": "Reset all"}]
 
