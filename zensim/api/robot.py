@@ -8,7 +8,7 @@ from zensim.api.argument_checks import MAX_NUMBER, check_limits, check_range, ma
 from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
 from zensim.api.topic import Topic, TopicCallback
 from zensim.api.world_access import api_errors
-from zensim.api.world_session import RELEASED, WorldSession
+from zensim.api.world_session import MAX_RUN_S, RELEASED, WorldSession
 from zensim.api.world_state import POSE
 from zensim.proto.messages.drive_messages import name_drive
 from zensim.proto.messages.entity_messages import EntityState
@@ -160,6 +160,8 @@ class Robot(EntityHandle):
         if twist.shape != (1, 3):
             raise Invalid("v, left and w are not numbers", slug="wrong_shape", hint="give numbers")
         check_limits("twist", twist, "(v, left, w)")
+        if seconds is not None:
+            check_range("seconds", seconds, 0.0, MAX_RUN_S)
         self._session.find_row(self._name)
         self._session.order((self._name,), twist)
         if seconds is not None:

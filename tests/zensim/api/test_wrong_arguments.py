@@ -51,6 +51,18 @@ VALID = {
 }
 
 
+@pytest.mark.parametrize("seconds", [-1, "2", math.nan])
+def test_robot_stands_when_the_time_of_its_order_is_wrong(seconds: object) -> None:
+    with zensim.World() as world:
+        robot = world.spawn("box_bot", name="r1")
+
+        with pytest.raises(zensim.Invalid):
+            robot.drive(0.5, seconds=seconds)  # type: ignore[arg-type]
+        world.run_for(0.5)
+
+        assert abs(robot.twist[0]) < 1e-3
+
+
 def list_parameters() -> Iterator[tuple[str, str, str]]:
     """List kind, method and parameter of all that can be given."""
     for kind, made in KINDS.items():
