@@ -254,7 +254,8 @@ class World(Simulation):
     def restore(self, snapshot: bytes) -> None:
         """Replace the state by a saved one, of this world or another; the run goes on bit by bit.
 
-        Robots spawned since are gone, and those deleted since are back. Subscriptions stay.
+        Robots spawned since are gone, and those deleted since are back. Subscriptions stay, and
+        have no message until the next one.
 
         Args:
             snapshot: As `snapshot()` returned it, also in another process of the same version.

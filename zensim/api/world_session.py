@@ -142,6 +142,10 @@ class WorldSession:
         """Replace the orders and paths, after the world was replaced."""
         self.forget()
         self._orders, self._paths = saved.twists, saved.paths
+        for topic in self._topics.values():
+            topic.clear()
+        if self._odometry is not None:
+            self._odometry.clear()
 
     def close(self) -> None:
         """Stop what this client commands, and free all; may be repeated."""

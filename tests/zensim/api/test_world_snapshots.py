@@ -242,6 +242,28 @@ def test_subscriptions_stay_and_get_the_messages_of_the_restored_run() -> None:
         assert stamps[count] == 1
 
 
+def test_messages_of_the_abandoned_future_are_gone_after_restore() -> None:
+    with World() as world:
+        robot = world.spawn("box_bot", name="r1")
+        fleet = world.fleet(["r1"])
+        fleet.odometry()
+        world.run_for(0.5)
+        snapshot = world.snapshot()
+        odom, text = robot.topic("odom"), robot.topic("robot_description").latest
+        odom.on(lambda _: None)
+        world.run_for(1.0)
+        fleet.odometry()
+
+        world.restore(snapshot)
+
+        assert odom.latest is None
+        assert np.isnan(fleet.odometry().times).all()
+        assert robot.topic("robot_description").latest is text
+        world.run_for(0.1)
+        assert odom.newest().header.stamp.sec == 0
+        assert fleet.odometry().times[0] == pytest.approx(0.6, abs=0.05)
+
+
 @pytest.mark.parametrize(
     "change", [lambda _: b"", lambda _: b"nonsense", lambda one: one[:-1], lambda one: one[::-1]]
 )
