@@ -282,3 +282,8 @@ def test_run_that_cannot_be_recorded_is_an_error(tmp_path: Path) -> None:
         run(scenario)
 
     assert refused.value.slug == "no_recorder"
+
+
+def test_scenario_that_is_not_there_is_not_found() -> None:
+    with pytest.raises(zensim.NotFound, match="first_minutes"):
+        zensim.load("nope")

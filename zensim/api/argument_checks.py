@@ -37,7 +37,7 @@ def check_finite(what: str, numbers: FloatArray, shape: str) -> FloatArray:
         raise Invalid(
             f"{what} is not finite in rows {rows[:5].tolist()}",
             slug="not_finite",
-            hint=f"give numbers of shape {shape}",
+            hint=f"give finite numbers of shape {shape}",
         )
     return numbers
 

@@ -62,6 +62,8 @@ class Fleet:
     def __getitem__(self, which: object) -> "Robot | Fleet":
         """Return one robot by its row, or the fleet of a mask, slice or array of rows."""
         if isinstance(which, int | np.integer):
+            if not -len(self) <= which < len(self):
+                raise IndexError(f"row {which} is not one of {len(self)} robots; count from 0")
             return Robot(self._session, self._names[int(which)])
         try:
             rows = np.arange(len(self._names))[which]  # type: ignore[call-overload]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -76,6 +76,7 @@ if TYPE_CHECKING:
 
 Handle = TypeVar("Handle", bound=EntityHandle)
 Own = TypeVar("Own", bound="Simulation")
+FAULT_KINDS = (*get_args(BodyFaultKind), *get_args(TopicFaultKind))
 RATE_TOLERANCE = 1e-6
 MAX_SEED = (1 << 64) - 1
 MAX_STEPS = 10_000_000
@@ -204,8 +205,8 @@ class Simulation(ClosedOnExit):
             options: x, y, z [m], roll, pitch, yaw [rad] and others; see `SpawnKeywords`.
 
         Raises:
-            NotFound: There is no such model or file.
-            SpawnRefused: The description or the name was refused.
+            NotFound: There is no such file.
+            SpawnRefused: The description or a name was refused, also that of a shipped model.
             Timeout: No agent drives it.
         """
         check_keywords(options, SpawnKeywords)
@@ -582,11 +583,13 @@ class Simulation(ClosedOnExit):
 
         Raises:
             NotFound: There is no such entity or part.
-            Invalid: A number is out of range.
-            Error: The kind is unknown, or the engine cannot simulate it.
+            Invalid: A number is out of range, or the kind unknown.
+            Error: The engine cannot simulate it.
         """
         for what, text in (("name", name), ("kind", kind), ("part", part)):
             check_text(what, text)
+        if kind not in FAULT_KINDS:
+            raise Invalid(f"fault '{kind}' is unknown", hint=f"use {', '.join(FAULT_KINDS)}")
         for what, number in (("value", value), ("low", low), ("high", high)):
             check_range(what, number, -MAX_NUMBER, MAX_NUMBER)
         check_whole("seed", seed, 0, MAX_SEED)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zensim.api.simulation import Simulation
+from zensim.api.world_access import api_errors
 from zensim.proto.settings.rate_settings import RateOverrides
 from zensim.proto.settings.server_settings import ServerSettings, WorldKeywords
 from zensim.proto.settings.setting import list_settings
@@ -81,11 +82,13 @@ def load(
         The run: `run()` runs it to its end and returns the report; `sim` is its world.
 
     Raises:
-        FileNotFoundError: There is no such file or scenario.
+        NotFound: There is no such file or scenario.
         ScenarioInvalid: It has mistakes; all of them are in the message.
         Error: The world refused a part of it.
     """
-    scenario = read_scenario(find_scenario_file(str(file)), settings)
+    with api_errors():
+        path = find_scenario_file(str(file))
+    scenario = read_scenario(path, settings)
     world = open_world(scenario) if sim is None else sim
     try:
         run = ScenarioRun(scenario, world, allows_python=python)

@@ -415,7 +415,7 @@ FAULTS: dict[str, tuple[tuple[str, str, str], type[zensim.Error]]] = {
     "entity": (("r9", "wheel_jam", "left_wheel_joint"), zensim.NotFound),
     "part": (("r1", "wheel_jam", "wheel"), zensim.NotFound),
     "sensor": (("r1", "sensor_off", "lidar"), zensim.NotFound),
-    "kind": (("r1", "wheel_fell_off", "left_wheel_joint"), zensim.Error),
+    "kind": (("r1", "wheel_fell_off", "left_wheel_joint"), zensim.Invalid),
 }
 
 

@@ -63,6 +63,14 @@ def test_robot_stands_when_the_time_of_its_order_is_wrong(seconds: object) -> No
         assert abs(robot.twist[0]) < 1e-3
 
 
+def test_row_beyond_a_fleet_is_named_with_their_count() -> None:
+    with zensim.World() as world:
+        world.spawn("box_bot", name="r1")
+
+        with pytest.raises(IndexError, match=r"row 5 .* 1 robots"):
+            world.fleet(["r1"])[5]
+
+
 def list_parameters() -> Iterator[tuple[str, str, str]]:
     """List kind, method and parameter of all that can be given."""
     for kind, made in KINDS.items():
