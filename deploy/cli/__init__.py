@@ -142,6 +142,9 @@ VERBS: dict[str, Verb] = {
     "version": Verb("Diagnostics", "version_commands", "Print the versions of all parts."),
 }
 
+GROUPS = frozenset({"token", "world", "topic", "bag", "scenario", "config"})
+"""Verbs that need a second word, so that they have no settings; known without their modules."""
+
 HELP_HEAD = """Usage: zensim [OPTIONS] COMMAND [ARGS]...
 
 Multi-robot simulation over Zenoh, without ROS or Gazebo.

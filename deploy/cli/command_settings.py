@@ -34,10 +34,12 @@ class CommandSettings:
     Attributes:
         name: As it is typed, such as `sensors run`.
         options: By key, which is the spelling without dashes.
+        short: The name without a command that may be left out; empty if none may.
     """
 
     name: str
     options: Mapping[str, Option]
+    short: str = ""
 
 
 def find_key(option: Option) -> str:
@@ -60,17 +62,21 @@ def list_commands(command: Command, name: str) -> Iterator[tuple[str, Command]]:
 
 def add_settings(command: Command, name: str) -> None:
     """Give each option of a command, or of those in a group, its variable; add `--config`."""
+    short: dict[str, str] = {}
     for words, one in list_commands(command, name):
-        options = list_options(one)
-        for key, option in options.items():
-            variable = name_variable(words, key)
+        if default := getattr(one, "default_command", ""):
+            short[f"{words} {default}"] = words
+        options = list_options(one.commands[default] if default else one)
+        settings = CommandSettings(words, options, short.get(words, ""))
+        for key, option in list_options(one).items():
+            variables = [name_variable(each, key) for each in (words, settings.short) if each]
             shared = option.envvar or []
             names = [shared] if isinstance(shared, str) else list(shared)
-            if variable not in names:
+            if variables[0] not in names:
                 option.show_envvar = bool(names)
-                option.envvar = [variable, *names]
+                option.envvar = [*variables, *names]
         if not any("--config" in parameter.opts for parameter in one.params):
-            one.params.append(make_config_option(CommandSettings(words, options)))
+            one.params.append(make_config_option(settings))
 
 
 def make_config_option(settings: CommandSettings) -> Option:
@@ -121,23 +127,25 @@ def read_settings(file: Path, settings: CommandSettings) -> dict[str, object]:
     text = read_text_file(file)
     sections = read_nodes(text, str(file))
     _require_known(sections, list_sections(sections.items), "command")
-    section = sections.items.get(settings.name)
-    if section is None or section.value is None:
-        return {}
-    _require_known(section, tuple(settings.options), f"option of 'zensim {settings.name}'")
-    lines = text.splitlines()
-    return {
-        settings.options[key].name: _read_value_of(settings.options[key], node, key, lines)
-        for key, node in section.items.items()
-    }
+    lines, found = text.splitlines(), dict[str, object]()
+    for name in (settings.short, settings.name):
+        section = sections.items.get(name)
+        if section is None or section.value is None:
+            continue
+        _require_known(section, tuple(settings.options), f"option of 'zensim {name}'")
+        for key, node in section.items.items():
+            option = settings.options[key]
+            found[option.name] = _read_value_of(option, node, key, lines)
+    return found
 
 
 def list_sections(keys: Iterable[str]) -> tuple[str, ...]:
     """List all commands of one word, and those of several words whose first is in the keys."""
-    from zensim.deploy.cli import VERBS, build
+    from zensim.deploy.cli import GROUPS, VERBS, build
 
-    found = list(VERBS)
-    for verb in sorted({key.split(" ")[0] for key in keys if " " in key} & VERBS.keys()):
+    found = [verb for verb in VERBS if verb not in GROUPS]
+    named = {key.split(" ")[0] for key in keys if " " in key or key in GROUPS}
+    for verb in sorted(named & VERBS.keys()):
         app: Any = get_command(build(verb))
         found += [words for words, _ in list_commands(app.commands[verb], verb) if words != verb]
     return tuple(found)

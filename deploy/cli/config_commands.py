@@ -79,6 +79,7 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
     Raises:
         ValueError: There is no such command, or a value is not valid.
     """
+    words = " ".join(words).split()
     command = find_command(words)
     command.no_args_is_help = False
     for parameter in command.params:
@@ -111,14 +112,16 @@ def find_command(words: list[str]) -> Any:  # noqa: ANN401
     from zensim.deploy.cli import VERBS, build
 
     name = " ".join(words)
-    if words[0] not in VERBS:
+    if not words or words[0] not in VERBS:
         raise ValueError(f"{name!r} is no command; 'zensim --help' lists all")
-    found: Any = get_command(build(words[0]))
-    for word in words:
+    root: Any = get_command(build(words[0]))
+    found = root.commands[words[0]]
+    add_settings(found, words[0])
+    for word in words[1:]:
         found = getattr(found, "commands", {}).get(word)
-        if found is None:
-            raise ValueError(f"{name!r} is no command; 'zensim {words[0]} --help' lists some")
-    add_settings(found, name)
+    found = getattr(found, "commands", {}).get(getattr(found, "default_command", ""), found)
+    if found is None or (hasattr(found, "commands") and not list_options(found)):
+        raise ValueError(f"{name!r} is no command; 'zensim {words[0]} --help' lists some")
     return found
 
 

@@ -43,10 +43,15 @@ NOTE_EVERY_S = 5.0
 class DefaultCommandGroup(TyperGroup):
     """A group whose first command is meant where no command is named."""
 
+    @property
+    def default_command(self) -> str:
+        """Word of that command."""
+        return next(iter(self.commands))
+
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Name the command, where the first word is none."""
         is_named = not args or args[0] in self.commands
-        return super().parse_args(ctx, args if is_named else [next(iter(self.commands)), *args])
+        return super().parse_args(ctx, args if is_named else [self.default_command, *args])
 
 
 app = typer.Typer(

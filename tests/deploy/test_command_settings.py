@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from zensim.deploy.cli import VERBS, build
+from zensim.deploy.cli import GROUPS, VERBS, build
 from zensim.deploy.cli.command_settings import (
     Command,
     CommandSettings,
@@ -94,6 +94,8 @@ def test_every_option_is_a_key_of_the_file(
         if name == "config show":  # its --config is that of the command that it shows
             continue
         options = list_options(command)
+        if not options:
+            continue
         found = {key: find_value(command, one, monkeypatch) for key, one in options.items()}
         lines = [f"  {key}: {to_yaml(text)}" for key, text in found.items()]
         file = tmp_path / "zensim.yaml"
@@ -200,6 +202,50 @@ def test_section_of_another_command_of_a_group_is_ignored(tmp_path: Path) -> Non
     assert context.params["rtf"] == 2.0
 
 
+def test_groups_without_settings_are_listed() -> None:
+    found = {name for name, one in list_all_commands() if hasattr(one, "commands")}
+
+    assert found == GROUPS | {"sweep", "sensors"}
+
+
+@pytest.mark.parametrize(
+    ("text", "jobs"),
+    [
+        ("sweep: {jobs: 3}", 3),
+        ('"sweep run": {jobs: 3}', 3),
+        ('"sweep run": {jobs: 3}\nsweep: {jobs: 2}', 3),
+    ],
+)
+def test_command_that_may_be_left_out_has_the_section_of_its_group(
+    text: str, jobs: int, tmp_path: Path
+) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text(text)
+    run = find_verb("sweep").commands["run"]
+
+    assert parse(run, ["--config", str(file)]).params["jobs"] == jobs
+
+
+def test_mistake_in_the_section_of_such_a_group_has_its_place(tmp_path: Path) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text("sweep: {jobs: 1, outptu: x}")
+    run = find_verb("sweep").commands["run"]
+    options = list_options(run)
+
+    with pytest.raises(ScenarioInvalid, match="outptu"):
+        read_settings(file, CommandSettings("sweep run", options, "sweep"))
+
+
+def test_command_that_may_be_left_out_has_the_variables_of_its_group(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ZENSIM_SWEEP_JOBS", "2")
+    assert parse(find_verb("sweep").commands["run"], []).params["jobs"] == 2
+
+    monkeypatch.setenv("ZENSIM_SWEEP_RUN_JOBS", "3")
+    assert parse(find_verb("sweep").commands["run"], []).params["jobs"] == 3
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -209,6 +255,9 @@ def test_section_of_another_command_of_a_group_is_ignored(tmp_path: Path) -> Non
         "serve: 3",
         "- serve",
         '"serve foo": {rtf: 1}',
+        "topic: {foo: 1}",
+        "world: {x: 2}",
+        "bag:",
         '"sensors walk": {always: true}',
         '"sensors  run": {always: true}',
         "serve: {rtf: 1, rtf: 2}",

@@ -36,6 +36,11 @@ def test_command_of_a_group_is_shown() -> None:
     assert show("sensors", "run")["always"]["variables"] == ["ZENSIM_SENSORS_RUN_ALWAYS"]
 
 
+@pytest.mark.parametrize("words", [("sweep",), ("sweep run",), ("sweep", "run")])
+def test_command_that_may_be_left_out_is_shown(words: tuple[str, ...]) -> None:
+    assert show(*words)["jobs"]["variables"] == ["ZENSIM_SWEEP_RUN_JOBS", "ZENSIM_SWEEP_JOBS"]
+
+
 def test_table_has_a_line_for_each_option() -> None:
     done = run_in_process("config", "show", "serve")
 
@@ -48,7 +53,9 @@ def test_join_token_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "c2VjcmV0" not in json.dumps(show("agent"))
 
 
-@pytest.mark.parametrize("words", [("nothing",), ("sensors", "walk"), ("serve", "more")])
+@pytest.mark.parametrize(
+    "words", [("nothing",), ("topic",), ("sensors", "walk"), ("serve", "more")]
+)
 def test_unknown_command_is_refused(words: tuple[str, ...]) -> None:
     done = run_in_process("config", "show", *words)
 
