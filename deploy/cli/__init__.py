@@ -288,6 +288,6 @@ def _run_with_options(
 
     given = parse_plain_options(group, words, os.environ)
     if given is not None:
-        CURRENT.options = name_group(group)
+        CURRENT.options, CURRENT.is_json = name_group(group), getattr(given, "as_json", False)
         run(given)
     return given is not None

@@ -5,6 +5,7 @@ then a variable, then the file, then the default.
 """
 
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Command = Any
 """A command or group of click, which typer has inside under a name that changed."""
 Option = Any
+USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
+"""The class above it in click, which typer has inside under a name that changed."""
 WRITTEN_VALUE: Final = re.compile(r"(?:&\S+ +)?([-+.0-9eE]+|[Tt]\w+|[Ff]\w+)(?!\w)")
 """A decimal number or a truth value, after its anchor."""
 
@@ -90,6 +93,7 @@ def make_config_option(settings: CommandSettings) -> Option:
 
             with exit_on_failure(settings.name):
                 context.default_map = read_settings(value, settings)
+            context.meta[CONFIG_VARIABLE] = value
         return value
 
     @app.command()
@@ -192,3 +196,31 @@ class SettingsGroup(TyperGroup):
         if command is not None:
             add_settings(command, cmd_name)
         return command
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401
+        """Run a command; a wrong option is reported as JSON where the command prints JSON.
+
+        Raises:
+            SystemExit: It was reported.
+        """
+        try:
+            return super().invoke(ctx)
+        except USAGE_ERROR as error:
+            name_config_file(error)
+            if "--json" not in sys.argv:
+                raise
+            from zensim.proto.exit_codes import ExitCode, print_failure
+            from zensim.proto.verbosity import CURRENT
+
+            CURRENT.is_json = True
+            command = (error.ctx or ctx).command_path.partition(" ")[2]
+            print_failure(command, ValueError(error.format_message()))
+            raise SystemExit(ExitCode.USAGE) from error
+
+
+def name_config_file(error: Any) -> None:  # noqa: ANN401
+    """Name the file of `--config` in an error of a value that comes from it."""
+    name = getattr(getattr(error, "param", None), "name", None)
+    source = error.ctx.get_parameter_source(name) if name and error.ctx else None
+    if source is not None and source.name == "DEFAULT_MAP":
+        error.message = f"{error.message.rstrip('.')}; it is in {error.ctx.meta[CONFIG_VARIABLE]}"

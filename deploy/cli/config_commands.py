@@ -9,7 +9,12 @@ import msgspec
 import typer
 from typer.main import get_command
 
-from zensim.deploy.cli.command_settings import add_settings, list_options
+from zensim.deploy.cli.command_settings import (
+    USAGE_ERROR,
+    add_settings,
+    list_options,
+    name_config_file,
+)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.options.command_options import JsonOption
@@ -20,8 +25,6 @@ from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 app = make_app("config")
 WIDTH: Final = 22
-USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
-"""The class above it in click, which typer has inside under a name that changed."""
 
 
 class ShownSetting(msgspec.Struct, frozen=True):
@@ -88,6 +91,7 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
     try:
         context = command.make_context(name, [] if file is None else ["--config", str(file)])
     except USAGE_ERROR as error:
+        name_config_file(error)
         raise ValueError(error.format_message()) from error
     is_unused = name == "up" and is_exported_for_clients(context, name_variable("up", "connect"))
     for key, option in list_options(command).items():

@@ -1,5 +1,6 @@
 """`zensim`: help, version, completion and imports; `zensim up` with invalid arguments."""
 
+import json
 import os
 import re
 import subprocess
@@ -21,12 +22,13 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from tests.integration.processes import free_endpoint, run_in_process, zensim
-from zensim.deploy.cli import VERBS, build
+from zensim.deploy.cli import VERBS, build, main
 from zensim.deploy.cli.model_commands import ModelOptions
 from zensim.deploy.cli.record_commands import RecordOptions
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.options.option_groups import expand_options, make_app
 from zensim.proto.options.plain_options import parse_plain_options
+from zensim.proto.verbosity import CURRENT
 
 RUNNER = CliRunner()
 SOON_S = 60.0
@@ -281,6 +283,43 @@ def test_group_prints_help_without_a_command(verb: str) -> None:
 
     assert f"Usage: zensim {verb} [OPTIONS] COMMAND" in done.stdout + done.stderr
     assert done.returncode == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        ("model nofile.urdf --json", ExitCode.NOT_FOUND),
+        ("model box_bot --json --drive foo", ExitCode.USAGE),
+        ("serve --json --rtf abc", ExitCode.USAGE),
+        ("list --json --foo", ExitCode.USAGE),
+    ],
+)
+def test_failure_is_an_object_with_json(
+    words: str,
+    status: ExitCode,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["zensim", *words.split()])
+    monkeypatch.setattr(CURRENT, "is_json", False)
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+
+    failure = json.loads(capsys.readouterr().err)["error"]
+    assert (ended.value.code, failure["number"]) == (status, status)
+    assert words.startswith(failure["command"])
+
+
+@pytest.mark.parametrize("words", [("serve",), ("config", "show", "serve")])
+def test_wrong_value_of_a_file_names_the_file(words: tuple[str, ...], tmp_path: Path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("serve: {rtf: abc}")
+
+    done = run_in_process(*words, "--config", str(file))
+
+    assert done.returncode == ExitCode.USAGE
+    assert "wrong.yaml" in done.stderr
 
 
 def test_unknown_verb_is_refused() -> None:
