@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from zensim.proto.bounded_files import read_text_file
+from zensim.proto.options.option_sources import find_source
 from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 if TYPE_CHECKING:
@@ -198,15 +199,13 @@ class SettingsGroup(TyperGroup):
         return command
 
     def invoke(self, ctx: Any) -> Any:  # noqa: ANN401
-        """Run a command; a wrong option is reported as JSON where the command prints JSON.
-
-        Raises:
-            SystemExit: It was reported.
-        """
+        """Run a command; a wrong option ends it, with an object where it prints JSON."""
         try:
             return super().invoke(ctx)
         except USAGE_ERROR as error:
-            name_config_file(error)
+            name = getattr(getattr(error, "param", None), "name", "")
+            if name and error.ctx and find_source(error.ctx, name) == "DEFAULT_MAP":
+                error.message += f"; it is in {error.ctx.meta[CONFIG_VARIABLE]}"
             if "--json" not in sys.argv:
                 raise
             from zensim.proto.exit_codes import ExitCode, print_failure
@@ -216,11 +215,3 @@ class SettingsGroup(TyperGroup):
             command = (error.ctx or ctx).command_path.partition(" ")[2]
             print_failure(command, ValueError(error.format_message()))
             raise SystemExit(ExitCode.USAGE) from error
-
-
-def name_config_file(error: Any) -> None:  # noqa: ANN401
-    """Name the file of `--config` in an error of a value that comes from it."""
-    name = getattr(getattr(error, "param", None), "name", None)
-    source = error.ctx.get_parameter_source(name) if name and error.ctx else None
-    if source is not None and source.name == "DEFAULT_MAP":
-        error.message = f"{error.message.rstrip('.')}; it is in {error.ctx.meta[CONFIG_VARIABLE]}"

@@ -9,19 +9,14 @@ import msgspec
 import typer
 from typer.main import get_command
 
-from zensim.deploy.cli.command_settings import (
-    USAGE_ERROR,
-    add_settings,
-    list_options,
-    name_config_file,
-)
+from zensim.deploy.cli.command_settings import USAGE_ERROR, add_settings, list_options
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.join_tokens import hide_token
 from zensim.proto.options.command_options import JsonOption
 from zensim.proto.options.option_groups import make_app
-from zensim.proto.options.option_sources import is_exported_for_clients
+from zensim.proto.options.option_sources import find_source, find_unused_endpoint
 from zensim.proto.printable_text import print_lines
-from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
+from zensim.proto.setting_variables import CONFIG_VARIABLE
 
 app = make_app("config")
 WIDTH: Final = 22
@@ -91,19 +86,18 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
     try:
         context = command.make_context(name, [] if file is None else ["--config", str(file)])
     except USAGE_ERROR as error:
-        name_config_file(error)
         raise ValueError(error.format_message()) from error
-    is_unused = name == "up" and is_exported_for_clients(context, name_variable("up", "connect"))
+    unused = find_unused_endpoint(context, name) if name in {"up", "serve"} else ""
     for key, option in list_options(command).items():
-        source = context.get_parameter_source(option.name)
-        if option.name == "connect" and is_unused:
-            yield ShownSetting(key, _to_plain(option.default), "default", tuple(option.envvar))
-            continue
+        is_used = option.name != unused
+        source = find_source(context, option.name) if is_used else "DEFAULT"
+        # The shared variable of the endpoint is for clients, not for `up`.
+        count = 1 if (name, key) == ("up", "connect") else None
         yield ShownSetting(
             key,
-            _to_plain(context.params.get(option.name)),
-            describe_source(option, source.name if source is not None else "", file),
-            tuple(option.envvar),
+            _to_plain(context.params.get(option.name) if is_used else option.default),
+            describe_source(option, source, file),
+            tuple(option.envvar[:count]),
         )
 
 

@@ -15,7 +15,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.options.command_options import JsonOption, RosOptions, flag
 from zensim.proto.options.option_groups import make_app
-from zensim.proto.options.option_sources import is_exported_for_clients, takes_precedence
+from zensim.proto.options.option_sources import find_unused_endpoint
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import User
 from zensim.proto.settings.deployment_settings import USUAL
@@ -99,12 +99,8 @@ def serve(context: typer.Context, given: ServeOptions) -> None:
 
 def _choose_endpoint(context: typer.Context, network: NetworkSettings) -> NetworkSettings:
     """Choose between an endpoint to listen on and one to connect to, by their sources."""
-    is_for_clients = is_exported_for_clients(context, "ZENSIM_SERVE_CONNECT")
-    if network.listen and (is_for_clients or takes_precedence(context, "listen", over="connect")):
-        return msgspec.structs.replace(network, connect="")
-    if network.connect and takes_precedence(context, "connect", over="listen"):
-        return msgspec.structs.replace(network, listen="")
-    return network
+    unused = find_unused_endpoint(context, "serve")
+    return msgspec.structs.replace(network, **{unused: ""}) if unused else network
 
 
 def _prepare_folder(given: ServeOptions) -> SecureFolder:

@@ -41,12 +41,9 @@ NOTE_EVERY_S = 5.0
 
 
 class DefaultCommandGroup(TyperGroup):
-    """A group whose first command is meant where no command is named."""
+    """A group whose command `run` is meant where no command is named."""
 
-    @property
-    def default_command(self) -> str:
-        """Word of that command."""
-        return next(iter(self.commands))
+    default_command = "run"
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Name the command, where the first word is none."""

@@ -51,10 +51,9 @@ from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.options.command_options import RosTfOptions, SetOption, parse_choice
 from zensim.proto.options.option_groups import make_app
-from zensim.proto.options.option_sources import is_exported_for_clients
+from zensim.proto.options.option_sources import find_unused_endpoint
 from zensim.proto.printable_text import print_lines
 from zensim.proto.security.roles import ROLES, User
-from zensim.proto.setting_variables import name_variable
 from zensim.proto.settings.deployment_settings import (
     MAX_AGENT_PROCESSES,
     USUAL,
@@ -148,7 +147,7 @@ class UpOptions(RosTfOptions, ServeOptions):
 def up(context: typer.Context, given: UpOptions) -> None:
     """Start a server, robots, agents and the viewer on this host, until Ctrl-C."""
     began_s = time.monotonic()
-    if is_exported_for_clients(context, name_variable("up", "connect")):
+    if find_unused_endpoint(context, "up"):
         given = replace(given, network=msgspec.structs.replace(given.network, connect=""))
     also = (LaunchFailed, ProgramDied, NotRecorded, MissingViewerExtra, MissingServerExtra)
     with exit_on_failure("up", *also):

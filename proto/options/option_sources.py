@@ -5,6 +5,8 @@ from typing import Final
 
 import typer
 
+from zensim.proto.setting_variables import name_variable
+
 SOURCES: Final = ("DEFAULT", "DEFAULT_MAP", "ENVIRONMENT", "COMMANDLINE")
 """Sources of values: default, file, variable, flag; later ones take precedence."""
 
@@ -21,12 +23,16 @@ def takes_precedence(context: typer.Context, parameter: str, *, over: str) -> bo
     return strength[0] > strength[1]
 
 
-def is_exported_for_clients(context: typer.Context, own_variable: str) -> bool:
-    """Whether the endpoint to connect to comes from ZENSIM_CONNECT, which is meant for clients.
+def find_unused_endpoint(context: typer.Context, command: str) -> str:
+    """Find which of `connect` and `listen` `up` or `serve` does not use; empty = none.
 
-    Args:
-        context: Of a command that need not connect.
-        own_variable: Names the endpoint for that command only.
+    ZENSIM_CONNECT is meant for clients: a server that need not connect does not read it.
     """
-    is_exported = find_source(context, "connect") == "ENVIRONMENT"
-    return is_exported and not os.environ.get(own_variable)
+    own = os.environ.get(name_variable(command, "connect"))
+    is_for_clients = find_source(context, "connect") == "ENVIRONMENT" and not own
+    if command == "up":
+        return "connect" if is_for_clients else ""
+    listens, connects = context.params.get("listen"), context.params.get("connect")
+    if listens and (is_for_clients or takes_precedence(context, "listen", over="connect")):
+        return "connect"
+    return "listen" if connects and takes_precedence(context, "connect", over="listen") else ""

@@ -74,7 +74,30 @@ def test_value_that_is_not_valid_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_endpoint_for_clients_is_not_that_of_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ZENSIM_CONNECT", "tcp/127.0.0.1:1")
-    assert show("up")["connect"]["source"] == "default"
+    found = show("up")["connect"]
+    assert (found["source"], found["variables"]) == ("default", ["ZENSIM_UP_CONNECT"])
 
     monkeypatch.setenv("ZENSIM_UP_CONNECT", "tcp/127.0.0.1:2")
     assert show("up")["connect"]["source"] == "variable ZENSIM_UP_CONNECT"
+
+
+@pytest.mark.parametrize(
+    ("text", "variable", "used"),
+    [
+        ("listen: tcp/127.0.0.1:3", "ZENSIM_CONNECT", "listen"),
+        ("listen: tcp/127.0.0.1:3", "ZENSIM_SERVE_CONNECT", "connect"),
+        ("connect: tcp/127.0.0.1:3", "ZENSIM_SERVE_LISTEN", "listen"),
+        ("seed: 1", "ZENSIM_CONNECT", "connect"),
+    ],
+)
+def test_endpoint_that_serve_would_use_is_shown(
+    text: str, variable: str, used: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "zensim.yaml"
+    file.write_text(f"serve: {{{text}}}")
+    monkeypatch.delenv("ZENSIM_CONNECT", raising=False)
+    monkeypatch.setenv(variable, "tcp/127.0.0.1:1")
+
+    found = show("serve", "--config", str(file))
+
+    assert {key for key in ("listen", "connect") if found[key]["source"] != "default"} == {used}

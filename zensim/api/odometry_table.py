@@ -79,11 +79,6 @@ class OdometryTable:
             array.flags.writeable = False
         return FleetOdometryRows(times, motions[:, :POSE_NUMBERS], motions[:, POSE_NUMBERS:])
 
-    def clear(self) -> None:
-        """Drop what has come: the state was replaced."""
-        self._feed.take()
-        self._times[:] = self._motions[:] = np.nan
-
     def close(self) -> None:
         """End the subscription."""
         self._feed.close()

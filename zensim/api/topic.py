@@ -243,13 +243,10 @@ class Topic(Generic[Message]):
     def clear(self) -> None:
         """Drop what was received, as the state was replaced; what is latched stays."""
         self.collect()
-        with self._lock:
-            if not self.is_latched:
-                self._unread.clear()
-                self._stamps_ns.clear()
-                self._latest = None
-            for callback in self._callbacks:
-                callback.take()
+        if not self.is_latched:
+            self._unread.clear()
+            self._stamps_ns.clear()
+            self._latest = None
 
     def close(self) -> None:
         """End the subscription and all callbacks."""

@@ -145,7 +145,9 @@ class WorldSession:
         for topic in self._topics.values():
             topic.clear()
         if self._odometry is not None:
-            self._odometry.clear()
+            self._odometry.close()
+            self._odometry = None
+            self.odometry()
 
     def close(self) -> None:
         """Stop what this client commands, and free all; may be repeated."""
