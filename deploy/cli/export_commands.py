@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from zensim.api.api_errors import Error
+from zensim.api.api_errors import Error, Unreachable
 from zensim.api.connections import connect
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.endpoints import DEFAULT_ENDPOINT
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import ConnectOption, JsonOption, WorldNameOption, flag
@@ -40,8 +41,13 @@ class ExportOptions:
 )
 def export_running_world(given: ExportOptions) -> None:
     """Write the running world, with all that was spawned at its present pose, as a scenario."""
-    with exit_on_failure("export", Error), connect(given.connect, world=given.world_name) as sim:
-        written = export(sim, given.file, overwrite=given.force)
+    with exit_on_failure("export", Error):
+        try:
+            with connect(given.connect, world=given.world_name) as sim:
+                written = export(sim, given.file, overwrite=given.force)
+        except Unreachable as error:
+            # Its cause has the exit status and the words of commands.
+            raise error.__cause__ or NoServer(error.message) from None
     files = [file.name for file in written]
     print_announcement(
         "export", f"wrote {', '.join(files)}", {"files": files}, as_json=given.as_json

@@ -311,6 +311,15 @@ def test_failure_is_an_object_with_json(
     assert words.startswith(failure["command"])
 
 
+def test_export_without_a_server_is_unreachable(tmp_path: Path) -> None:
+    file = tmp_path / "x.scenario.yaml"
+
+    done = run_in_process("export", str(file), "--connect", "tcp/127.0.0.1:1")
+
+    assert done.returncode == ExitCode.UNREACHABLE
+    assert "zensim.launch" not in done.stderr
+
+
 def test_wrong_value_of_a_file_names_the_file(tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text("serve: {rtf: abc}")
