@@ -29,7 +29,7 @@ from zensim.deploy.sweep.sweep_rows import SweepRow, find_unequal_repeats
 from zensim.deploy.sweep.sweep_runner import ATTEMPTS, Runner, run_here, run_sweep
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.options.command_options import JsonOption, SetOption, flag
-from zensim.proto.options.option_groups import expand_options
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import CURRENT, print_note
 from zensim.scenario.scenario_nodes import ScenarioInvalid
@@ -51,13 +51,8 @@ class DefaultCommandGroup(TyperGroup):
         return super().parse_args(ctx, args if is_named else [self.default_command, *args])
 
 
-app = typer.Typer(
-    name="sweep",
-    cls=DefaultCommandGroup,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+app = make_app("sweep")
+app.info.cls = DefaultCommandGroup
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +123,6 @@ class SweepOptions:
   zensim sweep crossing.scenario.yaml --only 3/10 --output shared/crossing
   zensim sweep report crossing.sweep --by behaviours.cross.speed --plot margins.png""",
 )
-@expand_options
 def run_command(given: SweepOptions) -> None:
     """Run all combinations of `vary`; what has ended before is not run again.
 
@@ -331,7 +325,6 @@ class SweepReportOptions:
 
 
 @app.command(name="report")
-@expand_options
 def report_command(given: SweepReportOptions) -> None:
     """Print a table of the runs of a sweep by their values, and draw margins over them."""
     with exit_on_failure("sweep report", MissingPlotExtra):

@@ -1,6 +1,7 @@
 """Errors of the Python API: each has a code, a slug, a message and a hint."""
 
 import re
+from typing import NoReturn
 
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 
@@ -111,6 +112,16 @@ class Closed(Error):
     code = ResultCode.INCORRECT_STATE
     slug = "closed"
     hint = "connect again"
+
+
+def refuse_pickling(kept: object, hint: str) -> NoReturn:
+    """Refuse to pickle what belongs to its process.
+
+    Raises:
+        Error: Always.
+    """
+    name = type(kept).__name__
+    raise Error(f"{name} cannot be pickled", slug="not_picklable", hint=hint)
 
 
 API_WORDS = {

@@ -6,7 +6,7 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.api_errors import Error, Invalid
+from zensim.api.api_errors import Invalid, refuse_pickling
 from zensim.api.argument_checks import check_limits
 from zensim.api.entity_values import SpawnReport, make_html_table
 from zensim.api.odometry_table import FleetOdometryRows
@@ -174,16 +174,8 @@ class Fleet:
         return f"Fleet({len(self)} robots: {', '.join(shown) or 'none'})"
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Refuse: a handle belongs to its process.
-
-        Raises:
-            Error: Always.
-        """
-        raise Error(
-            "Fleet cannot be pickled",
-            slug="not_picklable",
-            hint="pass sim.endpoint and fleet.names",
-        )
+        """Refuse: a handle belongs to its process."""
+        refuse_pickling(self, "pass sim.endpoint and fleet.names")
 
 
 def _take(values: FloatArray, rows: IntArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from zensim.api.api_errors import Error, Invalid
+from zensim.api.api_errors import Invalid, refuse_pickling
 from zensim.api.argument_checks import MAX_NUMBER, check_limits, check_range, make_numbers
 from zensim.api.entity_values import RobotPose, RobotTwist, SpawnReport
 from zensim.api.topic import Topic, TopicCallback
@@ -96,16 +96,8 @@ class EntityHandle:
         return f"{type(self).__name__}({self._name!r})"
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Refuse: a handle belongs to its process.
-
-        Raises:
-            Error: Always.
-        """
-        raise Error(
-            f"{type(self).__name__} cannot be pickled",
-            slug="not_picklable",
-            hint="pass sim.endpoint and the name",
-        )
+        """Refuse: a handle belongs to its process."""
+        refuse_pickling(self, "pass sim.endpoint and the name")
 
 
 class Robot(EntityHandle):

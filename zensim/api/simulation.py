@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from zensim.api.api_errors import Error, Invalid, SpawnRefused, Timeout
+from zensim.api.api_errors import Error, Invalid, SpawnRefused, Timeout, refuse_pickling
 from zensim.api.argument_checks import (
     MAX_NUMBER,
     check_finite,
@@ -739,16 +739,8 @@ class Simulation(ClosedOnExit):
             self._recorders = []
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Refuse: a simulation belongs to its process.
-
-        Raises:
-            Error: Always.
-        """
-        raise Error(
-            f"{type(self).__name__} cannot be pickled",
-            slug="not_picklable",
-            hint="pass sim.endpoint, or the bytes of World.snapshot()",
-        )
+        """Refuse: a simulation belongs to its process."""
+        refuse_pickling(self, "pass sim.endpoint, or the bytes of World.snapshot()")
 
     def _repr_html_(self) -> str:
         state = self._session.state()
