@@ -87,7 +87,7 @@ def make_config_option(settings: CommandSettings) -> Option:
     """Make the option `--config`, which is read before all others."""
     app = typer.Typer()
 
-    def load(context: typer.Context, value: Path | None) -> Path | None:
+    def load(context: typer.Context, value: Path | None) -> None:
         if value is not None:
             # The messages of services, which it imports, take longer than help texts.
             from zensim.proto.exit_codes import exit_on_failure
@@ -95,7 +95,6 @@ def make_config_option(settings: CommandSettings) -> Option:
             with exit_on_failure(settings.name):
                 context.default_map = read_settings(value, settings)
             context.meta[CONFIG_VARIABLE] = value
-        return value
 
     @app.command()
     def dummy(

@@ -91,8 +91,7 @@ def list_settings(words: list[str], file: Path | None) -> Iterator[ShownSetting]
     for key, option in list_options(command).items():
         is_used = option.name != unused
         source = find_source(context, option.name) if is_used else "DEFAULT"
-        # The shared variable of the endpoint is for clients, not for `up`.
-        count = 1 if (name, key) == ("up", "connect") else None
+        count = 1 if (name, key) == ("up", "connect") else None  # the shared one is for clients
         yield ShownSetting(
             key,
             _to_plain(context.params.get(option.name) if is_used else option.default),

@@ -22,7 +22,6 @@ from zensim.deploy.cli.recording_options import (
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.options.command_options import JsonOption, parse_choice
-from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.recording.byte_sizes import parse_size
 from zensim.recording.conversion import ConversionSettings, convert_recordings
@@ -68,7 +67,6 @@ class ConvertOptions:
     as_json: JsonOption = False
 
 
-@expand_options
 def convert_command(given: ConvertOptions) -> None:
     """Write recordings to a new one: split, merged, filtered, or compressed otherwise."""
     with exit_on_failure("bag convert"):

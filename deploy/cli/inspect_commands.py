@@ -13,7 +13,6 @@ import typer
 from zensim.deploy.cli.world_commands import app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.options.command_options import JsonOption
-from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.settings.engine_settings import USUAL_ENGINE, EngineChoice
 from zensim.proto.settings.start_settings import USUAL_READING, WorldFileSettings
@@ -61,7 +60,6 @@ class InspectOptions:
   zensim world inspect small_warehouse.world --model-path ./models
   zensim world inspect ./worlds --model-path ./models --settle 2 --engine mujoco""",
 )
-@expand_options
 def inspect_worlds(given: InspectOptions) -> None:
     """Print what a world file contains, or a table of several; status 1 if one is refused."""
     with exit_on_failure("world inspect", MissingServerExtra):

@@ -12,7 +12,6 @@ from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import JsonOption
-from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.recording.message_series import MessageSeries, parse_series_choice, read_series
 
@@ -63,7 +62,6 @@ class PlotOptions:
     as_json: JsonOption = False
 
 
-@expand_options
 def plot_command(given: PlotOptions) -> None:
     """Draw fields of messages over time, as PNG, SVG or PDF."""
     with exit_on_failure("bag plot", MissingPlotExtra):

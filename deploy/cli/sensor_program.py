@@ -18,7 +18,6 @@ from zensim.proto.options.command_options import (
     flag,
     seconds,
 )
-from zensim.proto.options.option_groups import expand_options
 from zensim.proto.settings.operation_settings import USUAL_METRICS, MetricsSettings
 from zensim.proto.verbosity import print_announcement
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
@@ -56,7 +55,6 @@ class SensorRunOptions(RosOptions):
   zensim sensors run
   zensim sensors run --connect tcp/10.0.0.5:7447"""
 )
-@expand_options
 def run(given: SensorRunOptions) -> None:
     """Publish lidars, range finders and cameras; several processes share them evenly."""
     with exit_on_failure("sensors run", MissingServerExtra):

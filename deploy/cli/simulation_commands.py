@@ -14,7 +14,7 @@ from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.options.command_options import ClientOptions, JsonOption, flag
-from zensim.proto.options.option_groups import expand_options, make_app
+from zensim.proto.options.option_groups import make_app
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.spawner.client.sim_client import SimClient, StepGoalInterrupted
@@ -207,7 +207,6 @@ FactorArgument = Annotated[
 
 
 @app.command(context_settings={"ignore_unknown_options": True})  # -1 is a number
-@expand_options
 def rtf(
     factor: FactorArgument = None, *, as_json: JsonOption = False, server: ClientOptions
 ) -> None:

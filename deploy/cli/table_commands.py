@@ -11,7 +11,6 @@ from zensim.deploy.cli.opened_recording import note_damage, open_recording
 from zensim.deploy.cli.recording_options import SpanOption, StartOffsetOption, find_log_span
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.options.command_options import JsonOption, flag, parse_choice
-from zensim.proto.options.option_groups import expand_options
 from zensim.proto.printable_text import print_lines
 from zensim.proto.verbosity import print_note
 from zensim.recording.message_tables import read_tables
@@ -62,7 +61,6 @@ class TableOptions:
     as_json: JsonOption = False
 
 
-@expand_options
 def export_command(given: TableOptions) -> None:
     """Write a table for each kind of topic, with a row for each message and a column per field."""
     with exit_on_failure("bag export", MissingDatasetExtra):

@@ -52,6 +52,16 @@ BROKEN: dict[str, tuple[str, list[tuple[int, int, str]]]] = {
         "zensim: 1\nrobots:\n  - {name: a, model: no/such.urdf}\n",
         [(3, 22, "robots[0].model")],
     ),
+    "missing_module": (
+        HEAD + "behaviours:\n  - {name: b, robots: cart1, do: python, call: 'nomod:Go'}\n"
+        "checks:\n  - {name: c, that: python, call: 'nomod:Num'}\n",
+        [(5, 48, "behaviours[0].call"), (7, 35, "checks[0].call")],
+    ),
+    "file_for_a_module": (
+        HEAD + "checks:\n  - {name: c, that: python, call: 'json.py:Num'}\n"
+        "  - {name: d, that: python, call: 'bisect.py:Num'}\n",
+        [(6, 35, "checks[1].call")],
+    ),
     "unknown_world": ("zensim: 1\nworld: {load: nope}\n", [(2, 15, "world.load")]),
     "bad_name": (
         "zensim: 1\nrobots:\n  - {name: 1a, model: box_bot}\n",
@@ -597,6 +607,7 @@ def test_scenario_with_code_of_its_author_says_so(
     section: str, *, has_code: bool, tmp_path: Path
 ) -> None:
     text = f"zensim: 1\nrobots: [{{name: r, model: box_bot}}]\n{section}\n"
+    (tmp_path / "team.py").write_text("raise SystemExit  # it is not imported")
 
     assert read(tmp_path, text).has_code == has_code
 

@@ -120,8 +120,7 @@ def refuse_pickling(kept: object, hint: str) -> NoReturn:
     Raises:
         Error: Always.
     """
-    name = type(kept).__name__
-    raise Error(f"{name} cannot be pickled", slug="not_picklable", hint=hint)
+    raise Error(f"{type(kept).__name__} cannot be pickled", slug="not_picklable", hint=hint)
 
 
 API_WORDS = {

@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -52,6 +54,7 @@ class ReferenceCheck:
             key = "drives" if section == "agents" else "robots"
             for index, entry in self._list_entries(section):
                 self._check_selector(f"{section}[{index}].{key}", entry.get(key))
+                self._check_call(f"{section}[{index}].call", entry.get("call"))
         for index, entry in self._list_entries("behaviours"):
             self._check_behaviour(f"behaviours[{index}]", entry)
         for index, entry in self._list_entries("faults"):
@@ -215,6 +218,16 @@ class ReferenceCheck:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             self._refuse(path, f"`{word}`: {reason}")
+
+    def _check_call(self, path: str, call: str | None) -> None:
+        """Refuse a module that is not there; nothing is imported."""
+        if not call:
+            return
+        top, _, inner = call.partition(":")[0].partition(".")
+        folder = str(Path(self._root.place.file).resolve().parent)
+        spec = PathFinder.find_spec(top, [folder]) or find_spec(top)
+        if spec is None or (inner and spec.submodule_search_locations is None):
+            self._refuse(path, f"`{call}`: there is no such module beside the file or on sys.path")
 
     def _check_fault(self, path: str, entry: Entry) -> None:
         if "at" in entry and "when" in entry:
