@@ -16,7 +16,6 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from zensim.proto.bounded_files import read_text_file
-from zensim.proto.options.option_sources import find_source
 from zensim.proto.setting_variables import CONFIG_VARIABLE, name_variable
 
 if TYPE_CHECKING:
@@ -202,14 +201,15 @@ class SettingsGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except USAGE_ERROR as error:
+            from zensim.proto.exit_codes import ExitCode, print_failure
+            from zensim.proto.options.option_sources import find_source
+            from zensim.proto.verbosity import CURRENT
+
             name = getattr(getattr(error, "param", None), "name", "")
             if name and error.ctx and find_source(error.ctx, name) == "DEFAULT_MAP":
                 error.message += f"; it is in {error.ctx.meta[CONFIG_VARIABLE]}"
             if "--json" not in sys.argv:
                 raise
-            from zensim.proto.exit_codes import ExitCode, print_failure
-            from zensim.proto.verbosity import CURRENT
-
             CURRENT.is_json = True
             command = (error.ctx or ctx).command_path.partition(" ")[2]
             print_failure(command, ValueError(error.format_message()))
