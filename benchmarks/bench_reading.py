@@ -18,10 +18,10 @@ import numpy as np
 from benchmarks import large_robot
 from benchmarks.figures import Figure, table
 from zensim.proto.messages.model_messages import Model, ReportStatus
+from zensim.proto.stl import write_corners
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.meshes.convex_hull import find_hull
 from zensim.sim_server.description.meshes.mesh_reader import read_mesh
-from zensim.sim_server.description.meshes.mesh_triangles import Triangles, write_stl
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.urdf import urdf_parser
@@ -112,7 +112,7 @@ def _find_hull_of(data: bytes) -> None:
 
 
 def _copy(data: bytes) -> None:
-    write_stl(read_mesh("a.stl", data))
+    write_corners(read_mesh("a.stl", data).corners)
 
 
 def an_ellipsoid(corners: int) -> bytes:
@@ -120,7 +120,8 @@ def an_ellipsoid(corners: int) -> bytes:
     points = np.random.default_rng(corners).normal(size=(corners, 3))
     points *= np.array([3.0, 2.0, 1.0]) / np.linalg.norm(points, axis=1)[:, None]
     # Triangles need not be neighbours for a hull.
-    return write_stl(Triangles(points, np.arange(corners - corners % 3).reshape(-1, 3)))
+    corners_of = points[np.arange(corners - corners % 3).reshape(-1, 3)]
+    return write_corners(corners_of)
 
 
 class Silence(ParseReport):

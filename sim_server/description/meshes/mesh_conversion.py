@@ -22,12 +22,7 @@ from zensim.sim_server.description.meshes.decimation import decimate, split_mesh
 from zensim.sim_server.description.meshes.generated_solids import is_generated, list_corners
 from zensim.sim_server.description.meshes.mesh_lookup import has_assets
 from zensim.sim_server.description.meshes.mesh_reader import read_mesh
-from zensim.sim_server.description.meshes.mesh_triangles import (
-    FindFile,
-    MeshMaterial,
-    Triangles,
-    write_stl,
-)
+from zensim.sim_server.description.meshes.mesh_triangles import FindFile, MeshMaterial, Triangles
 from zensim.sim_server.description.meshes.textures import (
     ImageError,
     make_textured_solid,
@@ -300,7 +295,7 @@ def convex_hull(triangles: Triangles) -> Triangles:
 
 def _store_meshes(meshes: Sequence[Triangles], job: _ModelConversion) -> Iterator[ConvertedPart]:
     for mesh in meshes:
-        yield ConvertedPart(job.conversions.store(write_stl(mesh)))
+        yield ConvertedPart(job.conversions.store(write_corners(mesh.corners)))
 
 
 def _convert_static(triangles: Triangles, job: _ModelConversion) -> Iterator[ConvertedPart]:
@@ -315,7 +310,7 @@ def _convert_plain(triangles: Triangles, job: _ModelConversion) -> Iterator[Conv
 def _convert_covered(triangles: Triangles, job: _ModelConversion) -> Iterator[ConvertedPart]:
     """Convert a mesh for the image of its visual; without coordinates it stays plain."""
     drawn = decimate(triangles, MAX_VISUAL_TRIANGLES)
-    mesh, looks = job.conversions.store(write_stl(drawn)), drawn.appearance
+    mesh, looks = job.conversions.store(write_corners(drawn.corners)), drawn.appearance
     if looks is None or not looks.coordinates.any():
         yield ConvertedPart(mesh)
         return

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.stl import write_corners
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
@@ -68,10 +67,10 @@ class Triangles:
     faces: NDArray[np.int64]
     appearance: Appearance | None = None
 
-
-def write_stl(triangles: Triangles) -> bytes:
-    """Write triangles as binary STL."""
-    return write_corners(triangles.vertices[triangles.faces])
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Corners (f, 3, 3) of each triangle."""
+        return self.vertices[self.faces]
 
 
 def too_many_error(name: str, count: int) -> ModelError:

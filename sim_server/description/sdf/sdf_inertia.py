@@ -133,7 +133,7 @@ def measure_solid(shape: Shape, find_mesh: FindFile) -> tuple[Inertial, bool]:
     return Inertial(solid.volume, (0.0, 0.0, solid.centre_z), moments), True
 
 
-class _Solid(NamedTuple):
+class _SolidMeasure(NamedTuple):
     """Volume [m^3], mean squares of x, y and z about the centre [m^2], height of the centre [m]."""
 
     volume: float
@@ -141,20 +141,20 @@ class _Solid(NamedTuple):
     centre_z: float = 0.0
 
 
-def _measure_box(x: float, y: float, z: float) -> _Solid:
-    return _Solid(x * y * z, (x * x / 12.0, y * y / 12.0, z * z / 12.0))
+def _measure_box(x: float, y: float, z: float) -> _SolidMeasure:
+    return _SolidMeasure(x * y * z, (x * x / 12.0, y * y / 12.0, z * z / 12.0))
 
 
-def _measure_ellipsoid(a: float, b: float, c: float) -> _Solid:
-    return _Solid(4.0 / 3.0 * math.pi * a * b * c, (a * a / 5.0, b * b / 5.0, c * c / 5.0))
+def _measure_ellipsoid(a: float, b: float, c: float) -> _SolidMeasure:
+    return _SolidMeasure(4.0 / 3.0 * math.pi * a * b * c, (a * a / 5.0, b * b / 5.0, c * c / 5.0))
 
 
-def _measure_cylinder(radius: float, length: float, _: float) -> _Solid:
+def _measure_cylinder(radius: float, length: float, _: float) -> _SolidMeasure:
     across = radius * radius / 4.0
-    return _Solid(math.pi * radius**2 * length, (across, across, length * length / 12.0))
+    return _SolidMeasure(math.pi * radius**2 * length, (across, across, length * length / 12.0))
 
 
-def _measure_capsule(radius: float, length: float, _: float) -> _Solid:
+def _measure_capsule(radius: float, length: float, _: float) -> _SolidMeasure:
     """Measure a cylinder and two half balls, whose centres are 3/8 of the radius beyond it."""
     tube, ball = _measure_cylinder(radius, length, 0.0), _measure_ellipsoid(radius, radius, radius)
     volume = tube.volume + ball.volume
@@ -163,16 +163,16 @@ def _measure_capsule(radius: float, length: float, _: float) -> _Solid:
         (1.0 - share) * tube.squares[axis] + share * ball.squares[axis] for axis in (0, 2)
     )
     along += share * (length**2 / 4.0 + 3.0 / 8.0 * radius * length)
-    return _Solid(volume, (across, across, along))
+    return _SolidMeasure(volume, (across, across, along))
 
 
-def _measure_cone(radius: float, _: float, length: float) -> _Solid:
+def _measure_cone(radius: float, _: float, length: float) -> _SolidMeasure:
     across = 3.0 / 20.0 * radius * radius
     squares = (across, across, 3.0 / 80.0 * length * length)
-    return _Solid(math.pi / 3.0 * radius**2 * length, squares, -length / 4.0)
+    return _SolidMeasure(math.pi / 3.0 * radius**2 * length, squares, -length / 4.0)
 
 
-_SOLIDS: dict[str, Callable[[float, float, float], _Solid]] = {
+_SOLIDS: dict[str, Callable[[float, float, float], _SolidMeasure]] = {
     "box": _measure_box,
     "sphere": lambda radius, _, __: _measure_ellipsoid(radius, radius, radius),
     "cylinder": _measure_cylinder,

@@ -7,8 +7,9 @@ import pytest
 
 from tests.sim_server.description.meshes.mesh_samples import BOX, exported
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.stl import write_corners
 from zensim.sim_server.description.meshes.mesh_reader import read_mesh
-from zensim.sim_server.description.meshes.mesh_triangles import Triangles, write_stl
+from zensim.sim_server.description.meshes.mesh_triangles import Triangles
 from zensim.sim_server.errors import ModelError
 
 ASCII = b"""solid t
@@ -88,6 +89,6 @@ def test_read_mesh_names_a_pointer_of_git_lfs(ending: str) -> None:
 def test_written_stl_is_read_back() -> None:
     triangles = Triangles(np.asarray(BOX.vertices), np.asarray(BOX.faces))
 
-    again = read_mesh("a.stl", write_stl(triangles))
+    again = read_mesh("a.stl", write_corners(triangles.corners))
 
     assert np.array_equal(again.vertices.reshape(-1, 3, 3), triangles.vertices[triangles.faces])
