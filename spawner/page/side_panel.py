@@ -50,7 +50,7 @@ AMBER: Final = "var(--zensim-amber)"
 """Colour of what is not as wanted; the style sheet of the page has a tone for each theme."""
 RED: Final = "var(--zensim-red)"
 CONNECTING: Final = SimulationStatus(state="connecting…")
-"""Until the first state has come, or none has come for a while."""
+"""State that is shown until the first one has come, or none has come for a while."""
 STATE_COLOURS: Final = {
     "playing": "var(--zensim-green)",
     "paused": AMBER,

@@ -396,7 +396,7 @@ class CameraFollow(msgspec.Struct, frozen=True):
 
     mode: CameraMode
     yaw_rad: float
-    """Of the entity."""
+    """Heading of the entity."""
     least_m: float
     """Distance below which it moves back."""
     reach_m: float

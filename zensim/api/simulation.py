@@ -586,10 +586,9 @@ class Simulation(ClosedOnExit):
             Invalid: A number is out of range, or the kind unknown.
             Error: The engine cannot simulate it.
         """
-        for what, text in (("name", name), ("kind", kind), ("part", part)):
-            check_text(what, text)
-        if kind not in FAULT_KINDS:
-            raise Invalid(f"fault '{kind}' is unknown", hint=f"use {', '.join(FAULT_KINDS)}")
+        check_text("name", name)
+        check_text("part", part)
+        _check_kind(kind)
         for what, number in (("value", value), ("low", low), ("high", high)):
             check_range(what, number, -MAX_NUMBER, MAX_NUMBER)
         check_whole("seed", seed, 0, MAX_SEED)
@@ -840,6 +839,11 @@ class Simulation(ClosedOnExit):
     def _make_entity(self, name: str) -> EntityHandle:
         is_robot = name in self._session.roster().robots
         return (Robot if is_robot else EntityHandle)(self._session, name)
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in FAULT_KINDS:
+        raise Invalid(f"fault '{kind}' is unknown", hint=f"use {', '.join(FAULT_KINDS)}")
 
 
 def _make_duration(seconds: float | None) -> Duration:
