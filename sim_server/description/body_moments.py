@@ -12,14 +12,15 @@ import numpy.typing as npt
 from zensim.sim_server.description.model_geometry import find_extents
 
 if TYPE_CHECKING:
-    from zensim.proto.messages.model_messages import Inertial, Model
+    from zensim.proto.messages.model_messages import Inertial, Link
     from zensim.sim_server.description.model_geometry import FindCorners
 
 FloatArray = npt.NDArray[np.float64]
 Moments = tuple[float, float, float, float, float, float]
 """(ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]."""
 LEAST_SHARE = 0.25
-"""Least moment of a loose body, over that of a solid box around its collisions.
+"""Least moment of a loose body, and of a link without any, over that of a solid box around its
+collisions.
 
 That of a uniform ball is 0.6, of a cylinder 0.75. Below 0.25, PyBullet's 20 iterations let a body
 creep and sink.
@@ -73,16 +74,13 @@ def describe_moments(inertia: Moments) -> str:
     return ", ".join(f"{moment:.3g}" for moment in moments)
 
 
-def raise_light_moments(model: Model, corners: FindCorners) -> Inertial | None:
-    """Find the inertia with which a loose body rests; None if its own will do.
+def raise_light_moments(link: Link, corners: FindCorners) -> Inertial | None:
+    """Find the inertia with which a body rests; None if its own will do.
 
     Args:
-        model: Parsed.
+        link: It has collisions and a mass.
         corners: Finds the corners of meshes.
     """
-    link = model.links[0]
-    if model.is_static or len(model.links) > 1 or not link.inertial.mass_kg or not link.collisions:
-        return None
     moments, axes = np.linalg.eigh(to_inertia_matrix(link.inertial.inertia))
     squares = np.array(find_extents(link, axes.T.tolist(), corners)) ** 2
     least = LEAST_SHARE * link.inertial.mass_kg * (squares.sum() - squares) / 12.0

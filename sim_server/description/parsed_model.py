@@ -232,7 +232,7 @@ def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> Inert
             f"link {link!r} has mass {inertial.mass_kg:g} kg; use a value >= 0", slug="urdf.mass"
         )
     least, middle, most = find_principal_moments(inertial.inertia)
-    if max(abs(least), abs(most)) <= MOMENT_ROUNDING:
+    if has_no_moments(inertial):
         if inertial.mass_kg > 0.0:
             report.suspicious(f"link {link!r}", "has a mass but no inertia")
         return inertial
@@ -250,6 +250,11 @@ def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> Inert
         f"the nearest possible ones are used: {describe_moments(nearest)}",
     )
     return msgspec.structs.replace(inertial, inertia=nearest)
+
+
+def has_no_moments(inertial: Inertial) -> bool:
+    """Whether all moments of inertia are zero, as no body of some size has them."""
+    return max(map(abs, inertial.inertia)) <= MOMENT_ROUNDING
 
 
 def find_principal_moments(

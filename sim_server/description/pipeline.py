@@ -18,6 +18,7 @@ from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.meshes.mesh_lookup import has_assets
 from zensim.sim_server.description.meshes.mesh_triangles import FindFile, find_no_file
 from zensim.sim_server.description.model_geometry import FALL, falls_without_end
+from zensim.sim_server.description.parsed_model import has_no_moments
 from zensim.sim_server.description.plugins.drive_selection import select_drive
 from zensim.sim_server.description.plugins.joint_controllers import add_joint_controllers
 from zensim.sim_server.description.plugins.sensor_reader import complete_sensors
@@ -252,22 +253,26 @@ def _describe_pairs(model: Model) -> Iterator[ReportEntry]:
 
 
 def _raise_light_moments(model: Model, corners: FindCorners) -> Model:
-    root = model.links[0]
-    if not root.collisions:
+    """Give moments to what PyBullet lets creep, or fling about: loose bodies, links without any."""
+    if model.is_static:
         return model
-    from zensim.sim_server.description.body_moments import describe_moments, raise_light_moments
+    raised, report, replace = list(model.links), list(model.report), msgspec.structs.replace
+    for number, link in enumerate(model.links):
+        is_light = len(model.links) == 1 or has_no_moments(link.inertial)
+        if not (is_light and link.inertial.mass_kg and link.collisions):
+            continue
+        from zensim.sim_server.description.body_moments import describe_moments, raise_light_moments
 
-    raised = raise_light_moments(model, corners)
-    if raised is None:
-        return model
-    replace = msgspec.structs.replace
-    note = (
-        f"it turns slower than described: moments {describe_moments(root.inertial.inertia)} are "
-        f"too small for its collisions to rest on; {describe_moments(raised.inertia)} are used"
-    )
-    entry = ReportEntry("predicted", f"link {root.name!r}", note)
-    links = (replace(root, inertial=raised),)
-    return replace(model, links=links, report=(*model.report, entry))
+        inertial = raise_light_moments(link, corners)
+        if inertial is None:
+            continue
+        note = (
+            f"it turns slower than described: moments {describe_moments(link.inertial.inertia)} "
+            f"are too small for its collisions; {describe_moments(inertial.inertia)} are used"
+        )
+        report.append(ReportEntry("predicted", f"link {link.name!r}", note))
+        raised[number] = replace(link, inertial=inertial)
+    return replace(model, links=tuple(raised), report=tuple(report))
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from zensim.proto.messages.model_messages import Inertial, Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import Inertial, Link, Origin, Shape
 from zensim.sim_server.description.body_moments import (
     LEAST_SHARE,
     find_nearest_moments,
@@ -19,11 +19,10 @@ OWN = MASS_KG * SIDE_M**2 / 6.0
 """Moment of a solid cube [kg m^2]."""
 
 
-def a_cube(share: float, *, links: int = 1, is_static: bool = False) -> Model:
+def a_cube(share: float) -> Link:
     moment = share * OWN
     inertia = (moment, 0.0, 0.0, moment, 0.0, moment)
-    cube = Link("cube", Inertial(MASS_KG, inertia=inertia), (Shape("box", (SIDE_M,) * 3),))
-    return Model("cube", (cube,) * links, is_static=is_static)
+    return Link("cube", Inertial(MASS_KG, inertia=inertia), (Shape("box", (SIDE_M,) * 3),))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -59,11 +58,8 @@ def test_loose_body_has_a_least_share_of_the_moments_around_its_collisions(share
     assert (ixx, iyy, izz) == pytest.approx((LEAST_SHARE * OWN,) * 3)
 
 
-@pytest.mark.parametrize(
-    "model", [a_cube(0.3), a_cube(1e-3, links=2), a_cube(1e-3, is_static=True)]
-)
-def test_moments_of_other_bodies_stay(model: Model) -> None:
-    assert raise_light_moments(model, NO_MESHES) is None
+def test_larger_moments_stay() -> None:
+    assert raise_light_moments(a_cube(0.3), NO_MESHES) is None
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "capsule"])
@@ -75,9 +71,27 @@ def test_solid_of_uniform_density_is_not_changed(kind: str) -> None:
         across = mass * (3.0 * radius**2 + length**2) / 12.0
     inertial = Inertial(mass, (0.1, 0.0, 0.0), (across, 0, 0, across, 0, 0.4 * mass * radius**2))
 
-    model = Model("solid", (Link("solid", inertial, (shape,)),))
+    assert raise_light_moments(Link("solid", inertial, (shape,)), NO_MESHES) is None
 
-    assert raise_light_moments(model, NO_MESHES) is None
+
+ARM = """<robot name="arm"><link name="base"><inertial><mass value="5"/>{moments}</inertial>
+{box}</link><link name="tip"><inertial><mass value="1"/>{tip}</inertial>{box}</link>
+<joint name="j" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+A_BOX = '<collision><geometry><box size="0.3 0.3 0.3"/></geometry></collision>'
+SMALL, NONE = (f'<inertia ixx="{one}" iyy="{one}" izz="{one}"/>' for one in ("1e-4", "0"))
+
+
+@pytest.mark.parametrize(("tip", "is_raised"), [(NONE, True), (SMALL, False)])
+def test_only_a_link_on_a_joint_without_any_moments_gets_some(tip: str, *, is_raised: bool) -> None:
+    text = ARM.format(moments=SMALL, tip=tip, box=A_BOX)
+
+    model = parse_description(text, assets={}, allow_missing=False, compat="fixed").model
+
+    predicted = [entry.subject for entry in model.report if entry.status == "predicted"]
+    assert ("link 'tip'" in predicted) is is_raised
+    assert (model.links[1].inertial.inertia[0] > 1e-3) is is_raised
+    assert model.links[0].inertial.inertia[0] == pytest.approx(1e-4)
 
 
 def test_report_predicts_what_is_changed() -> None:
