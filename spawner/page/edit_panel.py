@@ -90,7 +90,7 @@ class EditPanel(Panel):
             step=0.1,
         )
         self._add_button("Place by click", self.pick_place, "Then click the floor.", MUTED_BUTTON)
-        self._spawn = self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
+        self._add_button("Spawn", self.spawn, "Puts the model on the ground.")
         with gui.add_folder("Name, layout, heading", expand_by_default=False):
             self._name = gui.add_text("Name", "", hint="Empty = that of the model, with a number.")
             self._layout = gui.add_dropdown("Layout", LAYOUTS)
@@ -158,18 +158,13 @@ class EditPanel(Panel):
             place=self._place.value,
             heading_rad=math.radians(self._heading.value),
         )
-        # The button says that it works: a thousand robots take a minute.
-        self._spawn.disabled, self._spawn.label = True, "Spawning…"
         orders = make_spawn_order(form)
         if form.count > 1:
-            self._client.call(
-                SPAWN_ENTITIES, orders, self._report, SPAWN_TIMEOUT_S, self._end_spawn
-            )
+            self._client.inform(f"spawning {form.count} robots")  # a thousand take a minute
+            self._client.call(SPAWN_ENTITIES, orders, self._report, SPAWN_TIMEOUT_S)
         else:
             order = select_order(orders)
-            self._client.call(
-                SPAWN_ENTITY, order, self._report_one, SPAWN_TIMEOUT_S, self._end_spawn
-            )
+            self._client.call(SPAWN_ENTITY, order, self._report_one, SPAWN_TIMEOUT_S)
 
     def move(self) -> None:
         """Move the selected entity to the numbers of the form."""
@@ -218,18 +213,13 @@ class EditPanel(Panel):
     def _set_place(self, x: float, y: float) -> None:
         self._place.value = (round(x, 3), round(y, 3))  # type: ignore[misc]
 
-    def _end_spawn(self, _: str = "") -> None:
-        self._spawn.disabled, self._spawn.label = False, "Spawn"
-
     def _report_one(self, reply: SpawnEntityReport) -> None:
-        self._end_spawn()
         self._client.inform(f"spawned {reply.entity_name}")
         for entry in reply.report:
             if entry.status == "suspicious":
                 self._client.warn(f"{reply.entity_name}: {entry.subject}: {entry.reason}")
 
     def _report(self, reply: SpawnEntitiesResponse) -> None:
-        self._end_spawn()
         names = [one.entity_name for one in reply.results if one.result.result == ResultCode.OK]
         reasons = [one.result.error_message for one in reply.results if one.result.error_message]
         own = [reason for reason in reasons if not reason.startswith(NOT_SPAWNED_PREFIX)]
@@ -290,10 +280,9 @@ class EditPanel(Panel):
 
     def _add_button(
         self, label: str, act: Callable[[], None], hint: str, colour: Rgb | None = None
-    ) -> viser.GuiButtonHandle:
+    ) -> None:
         button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
-        return button
 
 
 @cache

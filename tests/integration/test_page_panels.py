@@ -657,7 +657,7 @@ def test_the_first_visitor_is_another_visitor_to_the_second(
         (0.0, None, "nothing"),
         (0.3, None, "its behaviour"),
         (0.3, LastCommand(0.3, 0.0, age_s=0.1), "cmd_vel  v 0.30 m/s"),
-        (0.0, LastCommand(0.3, 0.0, age_s=9.0), "cmd_vel  v 0.30 m/s"),
+        (0.0, LastCommand(0.3, 0.0, age_s=9.0), "nothing; cmd_vel  v 0.30 m/s"),
     ],
 )
 def test_it_is_said_who_drives_a_robot_that_no_visitor_drives(
@@ -684,6 +684,7 @@ def test_of_two_visitors_one_drives_and_the_other_may_take_over(
         other.set("Take over", value=True)
         driving.until(lambda: driving.visitor.was_notified("taken over r1"), "a notification")
         wait_for_stop(driving, commands)
+        connection.send(encode_drive(forward=0.0))  # the key is released, and pressed anew
         connection.send(encode_drive(forward=-1.0))
 
         driving.until(lambda: any(one.linear.x < 0.0 for one in read(commands)), "driving")

@@ -22,6 +22,7 @@ checks:
 def read(folder: Path, vary: str) -> Variations:
     file = folder / "a.scenario.yaml"
     file.write_text(f"{HEAD}vary: {vary}\n")
+    (folder / "team.py").touch()
     return read_scenario(str(file)).variations
 
 
