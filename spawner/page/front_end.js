@@ -92,15 +92,6 @@ function fillHead(place) {
   showHead(place);
 }
 
-// Heights of what stays above the tabs, for the style sheet.
-function measureHead() {
-  const set = (name, height) => document.documentElement.style.setProperty(name, `${height}px`);
-  const [status, buttons] = [".zensim-status", "[data-zensim-part=head]"].map((one) =>
-    document.querySelector(one)?.parentElement.offsetHeight || 0);
-  set("--zensim-status-px", status);
-  set("--zensim-head-px", status + buttons);
-}
-
 function showHead(place) {
   const play = place.querySelector(".zensim-play");
   const status = document.querySelector(".zensim-status");
@@ -474,7 +465,6 @@ function refresh() {
     places(part).forEach((place) => { if (!place.firstChild) fill(place); });
   }
   places("head").forEach(showHead);
-  measureHead();
   centreAboveSheet();
   drawShadowsLast();
   addFarLevels();

@@ -209,17 +209,6 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
   padding: 0 1px !important; }
 /* Six tabs in one row of a panel 320 pixels wide; the one that is shown is no wider. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; font-weight: 600 !important; }
-/* Head and tabs stay in view while the panel scrolls; boxes that may scroll would hold them. */
-@media (min-width: 641px) {
-  .mantine-ScrollArea-content [style*="overflow: hidden"]:has(.zensim-status, [data-dock-strip]) {
-    overflow: clip !important; }
-  :has(> .zensim-status), :has(> [data-zensim-part=head]),
-  .mantine-ScrollArea-content [data-dock-strip] { position: sticky; top: 0; z-index: 7;
-    background-color: var(--mantine-color-body); }
-  :has(> [data-zensim-part=head]) { top: var(--zensim-status-px, 0); }
-  .mantine-ScrollArea-content [data-dock-strip] { top: var(--zensim-head-px, 0); z-index: 8; }
-  :has(> [data-zensim-part=head] [aria-expanded=true]) { z-index: 9; }  /* its menu */
-}
 .zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;
   padding: 0 .7em .4em; }
 .zensim-models button { min-width: 44px; min-height: 44px; padding: 2px; cursor: pointer;

@@ -217,31 +217,6 @@ def test_page_shows_state_and_number_of_robots(shown: Shown) -> None:
     assert f"Robots\n{ROBOTS}" in text_of(shown.tab)
 
 
-STAYING = """
-(() => {
-  const parts = [".zensim-status", ".zensim-head", "[role=tab][title=Edit]"];
-  const panel = document.querySelector(parts[0]).closest(".mantine-ScrollArea-viewport");
-  panel.scrollTop = 1e6;
-  const {top, bottom} = panel.getBoundingClientRect();
-  const boxes = parts.map((one) => document.querySelector(one).getBoundingClientRect());
-  const isHigher = (box, i) => box.bottom <= (boxes[i + 1] || {top: bottom}).top + 1;
-  return [panel.scrollTop, boxes.every((one) => one.top >= top - 1) && boxes.every(isHigher)];
-})()
-"""
-
-
-@pytest.mark.browser
-def test_head_and_tabs_stay_in_view_while_the_panel_scrolls(shown: Shown) -> None:
-    shown.tab.set_size(WIDTH, 500)
-    shown.tab.turn_to("Edit")
-    shown.tab.until(f"{STAYING}[0] > 100")
-
-    shown.tab.until(f"{STAYING}[1]", 5.0)
-
-    shown.tab.turn_to("Entities")
-    shown.tab.set_size(WIDTH, HEIGHT)
-
-
 @pytest.mark.browser
 def test_tabs_keep_their_places_when_another_is_shown(shown: Shown) -> None:
     places = "[...document.querySelectorAll('[role=tab]')].map((one) => one.offsetLeft)"
