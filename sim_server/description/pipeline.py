@@ -253,7 +253,7 @@ def _describe_pairs(model: Model) -> Iterator[ReportEntry]:
 
 
 def _raise_light_moments(model: Model, corners: FindCorners) -> Model:
-    """Give moments to what PyBullet lets creep, or fling about: loose bodies, links without any."""
+    """Raise the moments of loose bodies, and of links without any: PyBullet diverges with less."""
     if model.is_static:
         return model
     raised, report, replace = list(model.links), list(model.report), msgspec.structs.replace

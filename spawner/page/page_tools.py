@@ -207,7 +207,7 @@ label, .mantine-Text-root, input, [class*=mantine] { letter-spacing: normal !imp
 /* The scroll bar of the panel covers nothing. */
 .mantine-ScrollArea-scrollbar[data-orientation=vertical] { width: 6px !important;
   padding: 0 1px !important; }
-/* Six tabs in one row of a panel 320 pixels wide; the one that is shown is no wider. */
+/* Six tabs fit one row of a panel 320 pixels wide; the active tab is as wide as before. */
 [data-dock-strip] > [data-dock-tab] { padding: 0 .6em !important; font-weight: 600 !important; }
 .zensim-models { display: grid; grid-template-columns: repeat(4, 1fr); gap: 4px;
   padding: 0 .7em .4em; }
@@ -493,8 +493,8 @@ function nameControls() {
   }
 }
 
-// Folders of the library open by a click only; these are buttons for the keyboard, too. One that
-// is made anew with the next selection is as the visitor left it.
+// Folders of the library open by a click only; as buttons they work by keyboard, too. A folder that
+// is created again with the next selection keeps its state.
 const foldStates = new Map();
 function nameFolds() {
   for (const icon of document.querySelectorAll(

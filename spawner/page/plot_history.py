@@ -46,7 +46,7 @@ class PlotHistory:
     def add(self, time_s: float, values: Mapping[str, float]) -> bool:
         """Add the values at a time; an earlier time begins a new history.
 
-        A column that is new has no numbers before, one that is not given is dropped.
+        A new column is NaN in earlier rows; a column that is not given is removed.
 
         Returns:
             Whether the row is new: time does not pass while a world is paused.
@@ -139,7 +139,7 @@ def name_robot_columns(name: str) -> dict[str, tuple[str, str]]:
 def measure_robot(name: str, state: Array, command: LastCommand | None) -> dict[str, float]:
     """Read the columns of a robot from its state (STATE_COLUMNS,) and its last command.
 
-    Without a command there are no columns of what is commanded; one that is old commands zero.
+    Without a command the columns of commanded velocities are missing; of an old one they are zero.
     """
     given: tuple[float | None, float | None] = (None, None)
     if command is not None:

@@ -21,7 +21,8 @@ def measure_mesh(shape: Shape, find_mesh: FindFile) -> tuple[Inertial, bool]:
     """Find the inertial of a mesh of density 1 kg/m^3 in the frame of its shape.
 
     Returns:
-        The inertial, and False for a mesh with holes, of which the convex hull is measured.
+        The inertial, and whether the surface is closed; if it is not, the inertial is that of the
+        convex hull.
 
     Raises:
         ModelError: The mesh is missing or invalid.

@@ -117,7 +117,8 @@ def measure_solid(shape: Shape, find_mesh: FindFile) -> tuple[Inertial, bool]:
     """Find the inertial of a shape of density 1 kg/m^3 in its own frame.
 
     Returns:
-        The inertial, and False for a mesh with holes, of which the convex hull is measured.
+        The inertial, and whether the surface is closed; if it is not, the inertial is that of the
+        convex hull.
 
     Raises:
         ModelError: A mesh is missing or invalid.
