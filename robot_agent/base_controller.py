@@ -48,6 +48,7 @@ def make_rate_limiter(rate_hz: float | None) -> RateLimiter | None:
 class _DriveUpdate:
     """Inputs of the last update of the drive, the twist apart."""
 
+    time_ns: int
     measured: MeasuredJoints[float]
     elapsed_s: float
     state: tuple[float, ...]
@@ -127,15 +128,18 @@ class BaseController:
         return True
 
     def _update_drive(self, state: RobotState, twist: Twist) -> bool:
-        self._last = None
         elapsed_s = self._limiter.elapsed_s(state.time_ns)
         if elapsed_s is None:
+            # At the time of its update a state comes again, as further robots are claimed.
+            if self._last is not None and self._last.time_ns != state.time_ns:
+                self._last = None
+            self.revise(twist)
             return False
         measured = MeasuredJoints(
             [state.positions[joint] for joint in self._measured],
             [state.velocities[joint] for joint in self._measured],
         )
-        self._last = _DriveUpdate(measured, elapsed_s, self._drive_state)
+        self._last = _DriveUpdate(state.time_ns, measured, elapsed_s, self._drive_state)
         return self.revise(twist)
 
     def _motion(self, state: RobotState) -> BaseMotion:

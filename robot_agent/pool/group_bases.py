@@ -278,6 +278,8 @@ class GroupBaseController:
             self._encoders.update(positions[:, list(self._group_key.encoder)], time_ns)
         rows, elapsed_s = self._limiters.open(time_ns)
         self._drive.begin(time_ns)
+        # Rows of before further robots were claimed at this time.
+        self.revise(twists)
         if len(rows):
             found = self._drive.update(
                 rows,
@@ -299,7 +301,7 @@ class GroupBaseController:
         return rows
 
     def revise(self, twists: FloatArray) -> None:
-        """Find the targets of the last update again, with other twists (n, 6)."""
+        """Find the targets of this time's updates again, with other twists (n, 6)."""
         if (revised := self._drive.revise(twists)) is not None:
             rows, targets = revised
             self.targets[rows] = targets
