@@ -60,7 +60,7 @@ GOALS: Final[Mapping[str, int]] = {
     "lines of changes of the next release": 150,
     **{f"files of {one}": 3 for one in SETTINGS},
     "files of a spawn": 85,
-    "files of a cmd_vel": 24,
+    "files of a cmd_vel": 22,
     "files of a tick": 45,
 }
 CEILINGS: Final[Mapping[str, int]] = {
@@ -267,13 +267,18 @@ def _record_flows(programs: RecordedPrograms, root: Path) -> dict[str, list[str]
     programs.run("spawn", "box_bot", "--name", "r1", "--namespace", "r1")
     time.sleep(SETTLE_S)
     spawn = programs.take() - idle
-    programs.run("drive", "r0", "0.2", "0.1", "--duration", "1")
-    cmd_vel = programs.take() - idle
+    # What only one of them runs is a late reply or other work of a busy host.
+    cmd_vel = (_record_drive(programs) & _record_drive(programs)) - idle
     ours = {str(path): str(path.relative_to(root)) for path in list_modules(root).values()}
     return {
         f"files of a {name}": sorted({ours[file] for file, _ in functions if file in ours})
         for name, functions in (("spawn", spawn), ("cmd_vel", cmd_vel), ("tick", tick))
     }
+
+
+def _record_drive(programs: RecordedPrograms) -> Functions:
+    programs.run("drive", "r0", "0.2", "0.1", "--duration", "1")
+    return programs.take()
 
 
 def _take_until_nothing_new(programs: RecordedPrograms) -> Functions:

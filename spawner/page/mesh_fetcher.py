@@ -29,7 +29,7 @@ MESH_RETRY_S: Final = 1.0
 MAX_MESH_BYTES: Final = stl_size(60_000)
 """Limit of one mesh; servers send no larger ones."""
 MESH_BUDGET_BYTES: Final = 128 << 20
-"""Limit of all files; without its mesh a robot is drawn by its collision shapes."""
+"""Limit of all files; without its mesh a visual is drawn by the collision shapes of its link."""
 FETCH_BUDGET_S: Final = 0.03
 """Time for files between two frames."""
 IMAGE_STARTS: Final = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")
@@ -40,7 +40,8 @@ class MeshFetcher:
     """Fetches the meshes and textures of models in chunks; call `fetch` periodically.
 
     Attributes:
-        meshes: By `find_mesh_name`; replaced when all available files have been fetched.
+        meshes: By `find_mesh_name`; replaced when all available files of visuals have been fetched,
+            and again with those of collisions.
     """
 
     def __init__(
@@ -55,13 +56,17 @@ class MeshFetcher:
         self._pending: dict[str, bytearray] = {}
         self._next_call_at = 0.0
         self._found: dict[str, bytes] = {}
-        self._shapes: dict[str, Shape] = {}
+        self._visuals: dict[str, Shape] = {}
+        self._collisions: dict[str, Shape] = {}
         self.meshes: TriangleMeshes = NO_MESHES
 
     def set_models(self, models: Iterable[Model]) -> None:
         """Set the models whose files are fetched; failed ones are retried."""
-        self._shapes = list_visual_meshes(models)
-        named = dict.fromkeys(name for s in self._shapes.values() for name in _list_files(s))
+        links = [link for model in models for link in model.links]
+        self._visuals = _list_meshes(shape for link in links for shape in link.visuals)
+        self._collisions = _list_meshes(shape for link in links for shape in link.collisions)
+        shapes = (*self._visuals.values(), *self._collisions.values())
+        named = dict.fromkeys(name for shape in shapes for name in _list_files(shape))
         self._found = {name: data for name, data in self._found.items() if name in named}
         self._pending = {
             name: self._pending.get(name, bytearray()) for name in named if name not in self._found
@@ -106,10 +111,13 @@ class MeshFetcher:
         self._publish()
 
     def _publish(self) -> None:
-        if self._pending:
+        waited = {name for shape in self._visuals.values() for name in _list_files(shape)}
+        if not waited.isdisjoint(self._pending):
             return
+        shown = self._collisions.keys() & self.meshes.keys() if self._pending else self._collisions
+        shapes = {name: self._collisions[name] for name in shown} | self._visuals
         meshes: dict[str, TriangleMesh] = {}
-        for name, shape in self._shapes.items():
+        for name, shape in shapes.items():
             mesh = self.meshes.get(name) or _make_mesh(shape, self._found)
             if mesh is not None:
                 meshes[name] = mesh
@@ -120,11 +128,9 @@ class MeshFetcher:
             self.meshes = meshes
 
 
-def list_visual_meshes(models: Iterable[Model]) -> dict[str, Shape]:
-    """List one visual for each mesh and texture, by `find_mesh_name`, in order."""
-    links = (link for model in models for link in model.links)
-    shapes = (shape for link in links for shape in link.visuals if shape.kind == "mesh")
-    return {find_mesh_name(shape): shape for shape in shapes}
+def _list_meshes(shapes: Iterable[Shape]) -> dict[str, Shape]:
+    """List one shape for each mesh and texture, by `find_mesh_name`, in order."""
+    return {find_mesh_name(shape): shape for shape in shapes if shape.kind == "mesh"}
 
 
 def _list_files(shape: Shape) -> list[str]:

@@ -140,8 +140,13 @@ def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
             )
         joints.append(VisualJoint(joint.kind, parent, joint.origin, normalize(joint.axis)))
     lights = tuple(link.lights for link in model.links)
+    # An invisible wall is wanted; an invisible robot has only been described to this point.
+    is_bare = not (model.is_static or any(link.visuals for link in model.links))
     return VisualTemplate(
-        tuple(_visible_shapes(link, meshes) for link in model.links),
+        tuple(
+            _keep_drawable(link.collisions, meshes) if is_bare else _visible_shapes(link, meshes)
+            for link in model.links
+        ),
         tuple(joints),
         lights if any(lights) else (),
     )
@@ -150,7 +155,7 @@ def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
 def _visible_shapes(link: Link, meshes: Container[str]) -> tuple[Shape, ...]:
     """Select the drawable visuals, or the collisions if no visual is drawable."""
     shapes = _keep_drawable(link.visuals, meshes)
-    return shapes if shapes or not link.visuals else _keep_drawable(link.collisions, ())
+    return shapes if shapes or not link.visuals else _keep_drawable(link.collisions, meshes)
 
 
 def _keep_drawable(shapes: tuple[Shape, ...], meshes: Container[str]) -> tuple[Shape, ...]:

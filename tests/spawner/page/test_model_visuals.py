@@ -176,7 +176,19 @@ def test_available_mesh_is_drawn() -> None:
 
 
 def test_link_with_collisions_only_is_invisible() -> None:
-    assert make_template(Model("bot", (Link("base", collisions=(CUBE,)),))).links == ((),)
+    links = Link("base", collisions=(CUBE,)), Link("arm", visuals=(CUBE,))
+    joint = Joint("hinge", "revolute", "base", "arm", Origin())
+
+    assert make_template(Model("bot", links, (joint,))).links == ((), (CUBE,))
+
+
+@pytest.mark.parametrize(("is_static", "shown"), [(False, (CUBE,)), (True, ())])
+def test_collisions_of_a_robot_without_any_visual_are_drawn(
+    is_static: bool, shown: tuple[Shape, ...]
+) -> None:
+    model = Model("bot", (Link("base", collisions=(CUBE,)),), is_static=is_static)
+
+    assert make_template(model).links == (shown,)
 
 
 def test_ground_is_not_drawn() -> None:

@@ -442,6 +442,21 @@ def test_meshes_are_published_when_all_are_fetched() -> None:
     assert setup.fetch(1) == setup.names[:1]
 
 
+def test_meshes_of_collisions_follow_those_of_visuals() -> None:
+    files, names = (make_mesh(1.0), make_mesh(2.0)), []
+    setup = FetcherSetup(FileServer(*files), *files)
+    visual, collision = (Shape("mesh", (1.0, 1.0, 1.0), mesh=name) for name in setup.names)
+    links = (Link("base", visuals=(visual,), collisions=(collision,)),)
+
+    setup.fetcher.set_models([Model("bot", links)])
+    for _ in range(4):
+        setup.fetcher.fetch()
+        names.append([*setup.fetcher.meshes])
+
+    assert [visual.mesh] in names
+    assert set(names[-1]) == {visual.mesh, collision.mesh}
+
+
 def test_missing_mesh_is_requested_again_with_new_models() -> None:
     data = make_mesh()
     server = FileServer()
