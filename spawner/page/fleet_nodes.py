@@ -15,13 +15,12 @@ from zensim.proto.se3 import FloatArray
 from zensim.spawner.page.contact_shadows import find_ground_poses, make_shadow
 from zensim.spawner.page.glb_encoding import encode_glb
 from zensim.spawner.page.instance_updates import WXYZ_COLUMNS, has_moved, move_instances
+from zensim.spawner.page.model_bounds import ModelBounds, make_bounds
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
-    Array,
     ColouredMesh,
     TriangleMeshes,
     VisualTemplate,
-    find_bounds,
     make_link_meshes,
 )
 from zensim.spawner.page.render_state import InstanceGroup, RenderedFleet, RenderedFrame
@@ -56,10 +55,10 @@ class ModelNodes:
         self.path = path
         self._scene = scene
         self._parts = [make_link_meshes(shapes, meshes) for shapes in template.links]
-        self.bounds = find_bounds(template, self._parts)
-        """Lowest and highest corner (2, 3) in the frame of the base."""
+        self.bounds = make_bounds(template, self._parts)
+        box = self.bounds.at_rest
         self._body = find_body_colour(self._parts)
-        self._shadow = make_shadow(self.bounds) if has_shadow and np.any(self.bounds) else None
+        self._shadow = make_shadow(box) if has_shadow and np.any(box) else None
         if self._shadow is not None:
             self._parts.append([self._shadow])
         self._batches: list[list[BatchHandle]] = []
@@ -186,8 +185,8 @@ class FleetNodes:
                 for number, name in enumerate(group.names)
             }
 
-    def find_bounds(self, template: VisualTemplate) -> Array:
-        """Find the lowest and highest corner (2, 3) of a template in the frame of its base."""
+    def find_bounds(self, template: VisualTemplate) -> ModelBounds:
+        """Find the box around a template."""
         return self._nodes[template].bounds
 
     def find_instance(self, entity: str) -> tuple[str, int] | None:

@@ -278,29 +278,6 @@ def merge_meshes(meshes: Iterable[TriangleMesh]) -> TriangleMesh:
     )
 
 
-def find_bounds(template: VisualTemplate, parts: Sequence[Sequence[ColouredMesh]]) -> Array:
-    """Find the lowest and the highest corner (2, 3) of a template, with joints at zero.
-
-    Args:
-        template: Of a model.
-        parts: Meshes of each of its links.
-    """
-    base = np.array([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)])
-    links = find_link_poses(
-        template.visual_joints, base, np.zeros((1, len(template.visual_joints)))
-    )
-    spans = [
-        (placed.min(axis=0), placed.max(axis=0))
-        for meshes, pose in zip(parts, links, strict=True)
-        for part in meshes
-        for placed in [transform_points(pose, part.mesh.vertices)]
-    ]
-    if not spans:
-        return np.zeros((2, 3))
-    lows, highs = zip(*spans, strict=True)
-    return np.stack([np.min(lows, axis=0), np.max(highs, axis=0)])
-
-
 def _transform_shape(shape: Shape, meshes: TriangleMeshes) -> TriangleMesh:
     mesh = (
         scale_mesh(meshes[find_mesh_name(shape)], shape.size)

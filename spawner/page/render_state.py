@@ -15,6 +15,7 @@ from zensim.proto.messages.world_messages import Scene
 from zensim.proto.rigid_transforms import compose, rotate
 from zensim.proto.se3 import FloatArray, from_origin, to_yaw, transform_points
 from zensim.proto.se3 import compose as compose_poses
+from zensim.spawner.page.model_bounds import ModelBounds
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     Array,
@@ -263,6 +264,13 @@ def _place_light(light: Light, link: Origin) -> Light:
     )
 
 
+def find_poses(fleet: RenderedFleet, frame: RenderedFrame, entity: str) -> FloatArray:
+    """Find the poses (links, 7) of the links of an entity in the world."""
+    groups = zip(fleet.groups, frame.links, strict=True)
+    group, links = next(found for found in groups if entity in found[0].names)
+    return np.stack([poses[group.names.index(entity)] for poses in links])
+
+
 class View(msgspec.Struct, frozen=True, eq=False):
     """What a camera shows."""
 
@@ -273,17 +281,17 @@ class View(msgspec.Struct, frozen=True, eq=False):
 
 
 def choose_view(
-    fleet: RenderedFleet, frame: RenderedFrame, find_bounds: Callable[[VisualTemplate], Array]
+    fleet: RenderedFleet, frame: RenderedFrame, find_bounds: Callable[[VisualTemplate], ModelBounds]
 ) -> View:
     """Choose a view of the robots, or of the whole world if there are none.
 
     Args:
         fleet: Not empty.
         frame: Of the fleet.
-        find_bounds: Finds the lowest and highest corner (2, 3) of a template.
+        find_bounds: Finds the box around a template.
     """
     boxes = {
-        name: frame.base[fleet.rows[name], :3] + find_bounds(fleet.templates[name])
+        name: frame.base[fleet.rows[name], :3] + find_bounds(fleet.templates[name]).at_rest
         for name in fleet.names
     }
     robots = set(fleet.robots)

@@ -19,6 +19,8 @@ OUTLINE_GAPS_M: Final = 0.004 * np.array([(-1.0, -1.0, 0.2), (1.0, 1.0, 1.0)])
 """Gaps between the bounds of an entity and its outline, which the ground must not hide."""
 OUTLINE_PX: Final = 2.5
 """Width of its lines on the screen."""
+OUTLINE_TOLERANCE_M: Final = 0.01
+"""Change of the bounds of an arm that moves its outline."""
 CORNER_SHARE: Final = 0.22
 """Share of each edge that is drawn at each of its ends: whole edges look larger than the entity."""
 
@@ -29,15 +31,21 @@ class SelectionOutlines:
     def __init__(self, client: ViewerClient) -> None:
         self._client, self._scene = client, client.scene
         self._boxes: list[tuple[VisualTemplate, viser.LineSegmentsHandle]] = []
+        self._drawn: list[Array] = []
+        """Bounds (2, 3) of each box."""
 
     def draw(self, entities: Sequence[str], state: PageState) -> None:
         """Move the boxes to the entities that are there."""
         shown = [name for name in entities if name in state.fleet.rows]
         templates = [state.fleet.templates[name] for name in shown]
         if [template for template, _ in self._boxes] != templates:
-            self._replace(templates, state)
+            self._replace(shown, templates, state)
         stuck: list[StuckNode] = []
-        for name, (_, box) in zip(shown, self._boxes, strict=True):
+        for number, (name, (_, box)) in enumerate(zip(shown, self._boxes, strict=True)):
+            bounds = state.bounds_of(name)
+            if np.abs(bounds - self._drawn[number]).max() > OUTLINE_TOLERANCE_M:
+                self._drawn[number] = bounds
+                box.points = make_box_corners(bounds + OUTLINE_GAPS_M).astype(np.float32)
             instance = state.find_instance(name)
             if instance is not None:
                 stuck.append(StuckNode(box.name, *instance, None))
@@ -46,11 +54,14 @@ class SelectionOutlines:
             box.position, box.wxyz = pose[:3], pose[WXYZ_COLUMNS]
         self._client.stick("outlines", tuple(stuck))
 
-    def _replace(self, templates: Sequence[VisualTemplate], state: PageState) -> None:
+    def _replace(
+        self, shown: Sequence[str], templates: Sequence[VisualTemplate], state: PageState
+    ) -> None:
         for _, box in self._boxes:
             box.remove()
+        self._drawn = [state.bounds_of(name) for name in shown]
         self._boxes = [
-            (template, self._add(number, state.find_bounds(template)))
+            (template, self._add(number, self._drawn[number]))
             for number, template in enumerate(templates)
         ]
 

@@ -13,6 +13,7 @@ import viser
 from zensim.proto.se3 import FloatArray, to_yaw, transform_points
 from zensim.proto.service_catalog import Service
 from zensim.spawner.page.floor_picking import Act, FloorPicker
+from zensim.spawner.page.model_bounds import ModelBounds
 from zensim.spawner.page.model_visuals import Array, VisualTemplate
 from zensim.spawner.page.page_server import run_script
 from zensim.spawner.page.render_state import (
@@ -22,6 +23,7 @@ from zensim.spawner.page.render_state import (
     SimulationStatus,
     View,
     choose_view,
+    find_poses,
     fit_camera,
 )
 from zensim.spawner.page.scene_lighting import FOV_RAD, START_CAMERA, Scenery
@@ -64,8 +66,8 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
     status: SimulationStatus = SimulationStatus()
     commands: Mapping[str, LastCommand] = {}
     """Last velocity command of the selected entities."""
-    find_bounds: Callable[[VisualTemplate], Array] = lambda _: np.zeros((2, 3))
-    """Finds the lowest and highest corner (2, 3) of a template in the frame of its base."""
+    find_bounds: Callable[[VisualTemplate], ModelBounds] = lambda _: ModelBounds(np.zeros((2, 3)))
+    """Finds the box around a template."""
     find_instance: Callable[[str], tuple[str, int] | None] = lambda _: None
     """Finds the batch, and the number in it, of a part of the base of an entity."""
 
@@ -76,7 +78,8 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
 
     def bounds_of(self, entity: str) -> Array:
         """Return the lowest and highest corner (2, 3) of an entity in the frame of its base."""
-        return self.find_bounds(self.fleet.templates[entity])
+        bounds = self.find_bounds(self.fleet.templates[entity])
+        return bounds.find(lambda: find_poses(self.fleet, self.frame, entity))
 
     def find_middle(self, entity: str) -> Array:
         """Find the middle of the bounds of an entity in the world."""

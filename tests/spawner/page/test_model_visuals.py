@@ -26,7 +26,6 @@ from zensim.spawner.page.model_visuals import (
     NotATree,
     TriangleMesh,
     VisualJoint,
-    find_bounds,
     find_link_poses,
     find_mesh_name,
     make_box,
@@ -184,7 +183,8 @@ def test_link_with_collisions_only_is_invisible() -> None:
 
 @pytest.mark.parametrize(("is_static", "shown"), [(False, (CUBE,)), (True, ())])
 def test_collisions_of_a_robot_without_any_visual_are_drawn(
-    is_static: bool, shown: tuple[Shape, ...]
+    is_static: bool,  # noqa: FBT001
+    shown: tuple[Shape, ...],
 ) -> None:
     model = Model("bot", (Link("base", collisions=(CUBE,)),), is_static=is_static)
 
@@ -331,21 +331,6 @@ def test_part_is_placed_at_its_origin() -> None:
 
     assert part.mesh.vertices[:, 0].min() == pytest.approx(0.0)
     assert part.mesh.vertices[:, 0].max() == pytest.approx(2.0)
-
-
-def test_bounds_are_those_of_all_links() -> None:
-    template = make_template(make_robot())
-
-    low, high = find_bounds(template, [make_link_meshes(shapes) for shapes in template.links])
-
-    assert low == pytest.approx((-0.05, -0.05, -0.05))
-    assert high == pytest.approx((0.05, 0.085, 0.05), abs=1e-3)
-
-
-def test_bounds_without_shapes_are_zero() -> None:
-    template = make_template(make_robot())
-
-    assert find_bounds(template, [[], []]).tolist() == [[0.0] * 3] * 2
 
 
 PNG = b"\x89PNG and more"

@@ -14,6 +14,7 @@ from tests.spawner.page.builders import (
     make_wall,
 )
 from zensim.proto.messages.model_messages import Light, Link, Model, Origin, Shape
+from zensim.spawner.page.model_bounds import ModelBounds
 from zensim.spawner.page.render_state import (
     MAX_MODEL_LIGHTS,
     MismatchedSnapshot,
@@ -187,7 +188,7 @@ def view_of(low: tuple[float, ...], high: tuple[float, ...], **entities: Model) 
     """Choose a view of entities whose models all have these bounds."""
     fleet = make_fleet(tuple(entities), make_models_by_name(entities))
     frame = make_frame(fleet, make_snapshot(*entities, joints=fleet.joints))
-    return choose_view(fleet, frame, lambda _: np.array((low, high)))
+    return choose_view(fleet, frame, lambda _: ModelBounds(np.array((low, high))))
 
 
 def test_view_shows_the_robots_only() -> None:

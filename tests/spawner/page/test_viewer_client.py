@@ -5,6 +5,7 @@ import pytest
 
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.spawner.page.model_bounds import ModelBounds
 from zensim.spawner.page.model_visuals import VisualTemplate
 from zensim.spawner.page.render_state import RenderedFleet, RenderedFrame
 from zensim.spawner.page.viewer_client import (
@@ -58,7 +59,9 @@ def a_state(bounds: list[tuple[float, float, float]]) -> PageState:
         rows={"mast": 0},
         templates={"mast": TEMPLATE},
     )
-    return PageState(fleet, RenderedFrame(base=base), find_bounds=lambda _: np.array(bounds))
+    return PageState(
+        fleet, RenderedFrame(base=base), find_bounds=lambda _: ModelBounds(np.array(bounds))
+    )
 
 
 def test_camera_looks_at_the_middle_of_an_entity_and_has_it_in_view() -> None:
