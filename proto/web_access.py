@@ -5,6 +5,7 @@ import hmac
 import os
 import re
 import secrets
+import shlex
 import socket
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -210,6 +211,11 @@ def make_page_url(
 def add_token(url: str, token: str) -> str:
     """Add a token to an address without one; empty = none is needed."""
     return f"{url.rstrip('/')}/?{TOKEN_NAME}={token}" if token else url
+
+
+def add_token_of_file(url: str, file: Path | str) -> str:
+    """Add the token of a file to an address without one, as a shell reads it."""
+    return f"{url.rstrip('/')}/?{TOKEN_NAME}=$(cat {shlex.quote(str(file))})"
 
 
 def split_token(url: str) -> tuple[str, str]:

@@ -74,13 +74,13 @@ def open_recording(given: PageOptions, stack: ExitStack) -> PageSource:
         OSError: A file cannot be read.
         ValueError: It is not a recording, or lacks what the page draws.
     """
+    from zensim.deploy.cli import opened_recording
     from zensim.deploy.recorded_network import RecordedNetwork
-    from zensim.recording.recording_reader import RecordingReader
     from zensim.spawner.page.replay_panel import ReplayPanel
 
     del stack  # files are closed after each reading
     assert given.recording is not None
-    network = RecordedNetwork(RecordingReader(given.recording))
+    network = RecordedNetwork(opened_recording.open_recording("view", given.recording))
     network.playback.loops = given.loop
     return PageSource(network, network.world, panels={"Recording": ReplayPanel})
 

@@ -68,7 +68,7 @@ from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.topic_catalog import read_ros_settings
 from zensim.proto.verbosity import CURRENT
-from zensim.proto.web_access import split_token
+from zensim.proto.web_access import add_token_of_file, split_token
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
     open_secure_folder,
@@ -487,7 +487,7 @@ def _write_page(deployment: LocalDeployment) -> str:
     bare, token = split_token(deployment.viewer_url)
     if not token or sys.stdout.isatty():
         return deployment.viewer_url
-    return f"{bare} (token in {deployment.config.page_token})"
+    return add_token_of_file(bare, deployment.config.page_token)
 
 
 def _describe_others(agents: LaunchAgentsConfig) -> str:

@@ -33,15 +33,26 @@ def find_gap(poses: np.ndarray) -> float:
     return float((np.hypot(*away.T) + np.diag(np.full(len(poses), np.inf))).min())
 
 
-def main() -> None:
-    """Drive until all have arrived, and print how many have, and how near two came."""
+def read_options() -> tuple[argparse.Namespace, Policy]:
+    """Read the options, and load the policy."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("policy", nargs="?", default="", help=".npz; the baseline if none is given")
     parser.add_argument("--endpoint", default="tcp/127.0.0.1:7447")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    policy = Policy.load(options.policy) if options.policy else load_baseline("avoid")
+    try:
+        policy = Policy.load(options.policy) if options.policy else load_baseline("avoid")
+    except (OSError, zensim.Invalid) as error:
+        parser.error(str(error))
+    if policy.task != "avoid":
+        parser.error(f"{options.policy} is a policy for '{policy.task}'; give one for 'avoid'")
+    return options, policy
+
+
+def main() -> None:
+    """Drive until all have arrived, and print how many have, and how near two came."""
+    options, policy = read_options()
     speed = policy.settings.get("max_speed_m_s", 0.5)
     turn, rate_hz = policy.settings.get("max_turn_rad_s", 2.0), policy.settings.get("rate_hz", 10.0)
     with zensim.connect(options.endpoint) as sim:

@@ -10,8 +10,8 @@ import typer
 
 from zensim.proto.join_tokens import complete_address, is_join_address
 from zensim.proto.web_access import (
-    TOKEN_NAME,
     PageAccess,
+    add_token_of_file,
     check_certificate,
     check_page_exposure,
     keep_token,
@@ -75,7 +75,7 @@ class AccessOptions:
     def write_address(self, what: str, url: str) -> str:
         """Write the address of what is served for people, with its token on a terminal only.
 
-        Elsewhere, as in the log of a service, it is followed by the file that has the token.
+        Elsewhere, as in the log of a service, it names the file that has the token.
 
         Args:
             what: One word.
@@ -88,4 +88,4 @@ class AccessOptions:
         if not token or sys.stdout.isatty():
             return f"{what} {url}"
         file = self.page_token or keep_token(token, f"{what}-{split_url(url).port}")
-        return f"{what} {bare}\nits token is in {file}; add ?{TOKEN_NAME}=TOKEN to the address"
+        return f"{what} {add_token_of_file(bare, file)}"

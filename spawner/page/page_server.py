@@ -27,6 +27,7 @@ from websockets.http11 import Request, Response
 
 from zensim.proto.web_access import (
     OPEN_ACCESS,
+    TOKEN_NAME,
     PageAccess,
     has_token,
     has_token_in_address,
@@ -194,7 +195,13 @@ BURST_S: Final = 1.0
 """Time for which messages may come faster."""
 
 NO_TOKEN: Final = (
-    "zensim: open the page by the address with its token, as 'zensim view' printed it\n"
+    "zensim: {what}; open the address that the program of this page printed: "
+    "http://HOST:PORT/?{name}=TOKEN\n"
+)
+GET: Final = b"GET "
+WRONG_METHOD: Final = (
+    b"HTTP/1.1 405 Method Not Allowed\r\nAllow: GET\r\nContent-Length: 0\r\n"
+    b"Connection: close\r\n\r\n"
 )
 CROWDED: Final = f"zensim: {MAX_VISITORS} pages are open, the limit; close one\n"
 NamesProvider = Callable[[], bytes]
@@ -217,10 +224,21 @@ class PageContent:
 class PageConnection(ServerConnection):
     """Websocket of a page: messages that no page sends are dropped, frequent ones wait."""
 
+    _has_received = False
+
     take_script_message: Callable[[ServerConnection, ScriptMessage], None] = staticmethod(
         lambda _connection, _message: None
     )
     """Called with the messages of the page's own script, which viser does not get."""
+
+    def data_received(self, data: bytes) -> None:
+        """Refuse other methods than GET, which websockets would leave without a response."""
+        if not self._has_received and not data.startswith(GET[: len(data)]):
+            self.transport.write(WRONG_METHOD)
+            self.transport.close()
+            return
+        self._has_received = True
+        super().data_received(data)
 
     @cached_property
     def _paces(self) -> "tuple[MessagePace, MessagePace]":
@@ -459,7 +477,11 @@ def _refuse_crowd(connection: ServerConnection) -> Response | None:
 def _exchange_token(connection: ServerConnection, request: Request, access: PageAccess) -> Response:
     """Exchange the secret in the address for a cookie, so that the address has it no longer."""
     if not has_token_in_address(request.path, access.token):
-        return connection.respond(http.HTTPStatus.UNAUTHORIZED, NO_TOKEN)
+        has_one = f"{TOKEN_NAME}=" in request.path
+        what = "the token of this address is not valid" if has_one else "this address lacks a token"
+        return connection.respond(
+            http.HTTPStatus.UNAUTHORIZED, NO_TOKEN.format(what=what, name=TOKEN_NAME)
+        )
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
     response.headers["Location"] = remove_token(request.path)
     # Lax: a link to a view in a mail opens the page. Requests of other sites have no cookie, but

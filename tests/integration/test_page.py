@@ -312,9 +312,10 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
     url = url_of(page_with_token)
     opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
 
-    for path in ("/", "/names", "/?zensim_token=wrong"):
+    for path, reason in (("/", "lacks"), ("/names", "lacks"), ("/?zensim_token=x", "not valid")):
         with pytest.raises(HTTPError, match="401") as refusal:
             opener.open(url + path)
+        assert reason in refusal.value.read().decode()
         refusal.value.close()
     with pytest.raises(InvalidStatus, match="401"):
         connect_page(url)
@@ -325,6 +326,14 @@ def test_page_with_a_token_needs_it_once(page_with_token: ViewerPage) -> None:
         assert response.status == 200
     with closing(connect_page(url, cookie=f"a=b; {cookie_of(url)}")) as connection:
         find_control(connection, "GuiHtmlMessage")
+
+
+def test_other_methods_than_get_are_refused(page: ViewerPage) -> None:
+    for method in ("HEAD", "POST"):
+        request = urllib.request.Request(url_of(page), method=method)
+        with pytest.raises(HTTPError, match="405") as refusal:
+            urllib.request.urlopen(request)
+        refusal.value.close()
 
 
 def cookie_of(url: str) -> str:

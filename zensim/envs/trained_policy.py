@@ -83,9 +83,20 @@ class Policy:
         np.savez_compressed(file, facts=np.array(facts), **arrays)
 
     def act(self, observations: npt.ArrayLike) -> Numbers:
-        """Find the actions (..., 2) for observations (..., d), without noise, from -1 to 1."""
+        """Find the actions (..., 2) for observations (..., d), without noise, from -1 to 1.
+
+        Raises:
+            Invalid: The observations are of another task.
+        """
         mean, deviation = self._scale
-        rows = (np.asarray(observations, np.float32) - mean) / deviation
+        rows: Numbers = np.asarray(observations, np.float32)
+        if rows.shape[-1:] != mean.shape:
+            raise Invalid(
+                f"observations have shape {rows.shape}",
+                slug="wrong_shape",
+                hint=f"a policy for '{self.task}' takes {mean.shape} of each robot",
+            )
+        rows = (rows - mean) / deviation
         for weights, bias in self._layers[:-1]:
             rows = np.tanh(rows @ weights + bias)
         weights, bias = self._layers[-1]

@@ -92,6 +92,14 @@ def test_file_that_is_no_archive_is_refused(payload: bytes) -> None:
         Policy.load(BytesIO(payload))
 
 
+@pytest.mark.parametrize("shape", [(10, 16), (4,), ()])
+def test_observations_of_another_task_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(Invalid) as refusal:
+        make_policy(observed=3).act(np.zeros(shape))
+
+    assert refusal.value.slug == "wrong_shape"
+
+
 def test_unknown_baseline_is_refused_with_those_that_are_known() -> None:
     with pytest.raises(Invalid, match="avoid"):
         load_baseline("fly")
