@@ -332,11 +332,16 @@ class Model(msgspec.Struct, frozen=True, gc=False):
         return sum(link.inertial.mass_kg for link in self.links)
 
     @property
+    def is_robot(self) -> bool:
+        """Whether it has a drive, or joints that it controls, as an arm."""
+        return self.drive is not None or bool(self.joint_controllers)
+
+    @property
     def needs_agent(self) -> bool:
         """Whether an agent drives it or publishes for it: sensors, states, transforms."""
         publishes = self.joint_state is not None or bool(self.ground_truths)
         measures = any(sensor.settings is not None for sensor in self.sensors)
-        return self.drive is not None or bool(self.joint_controllers) or publishes or measures
+        return self.is_robot or publishes or measures
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:

@@ -56,7 +56,7 @@ class ServerMetrics:
     def _list_world(self) -> Iterator[MetricFamily]:
         world = self.parts.world
         entities = tuple(world.entities.by_name.values())
-        robots = [one.name for one in entities if one.model.drive is not None]
+        robots = [one.name for one in entities if one.model.is_robot]
         counts: dict[tuple[str, ...], float] = {
             ("robot",): len(robots),
             ("object",): len(entities) - len(robots),

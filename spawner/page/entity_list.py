@@ -37,7 +37,7 @@ def find_category(fleet: RenderedFleet, name: str) -> Category:
     """Find the category of an entity."""
     if fleet.members[name].belongs_to_world:
         return "World"
-    return "Robots" if name in fleet.driven else "Objects"
+    return "Robots" if fleet.model_of(name).is_robot else "Objects"
 
 
 def find_statuses(
@@ -72,7 +72,7 @@ def _choose_status(
 ) -> EntityStatus:
     if is_moving:
         return "moving"
-    if name in fleet.driven:
+    if fleet.model_of(name).is_robot:
         return "standing" if fleet.members[name].agent else "no agent"
     if fleet.model_of(name).is_static:
         return "static"

@@ -92,7 +92,7 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     members: dict[str, EntityModel] = {}
     templates: dict[str, VisualTemplate] = {}
     robots: tuple[str, ...] = ()
-    """Entities with a drive."""
+    """Entities with a drive, or controlled joints."""
     rows: dict[str, int] = {}
     """Row of each entity in `RenderedFrame.base`."""
     joints: int = 0
@@ -106,7 +106,7 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     models: tuple[Model, ...] = ()
     """Models, which `EntityModel.model` indexes."""
     driven: frozenset[str] = frozenset()
-    """Entities with a drive; those of `robots`."""
+    """Those of `robots` with a drive."""
 
     def model_of(self, name: str) -> Model:
         """Return the model of an entity."""
@@ -168,10 +168,11 @@ def make_fleet(
     members = {member.entity: member for member in models.entities}
     templates = _find_templates(names, models, meshes)
     views = [list_sensor_views(model) for model in models.models]
-    robots = tuple(n for n in names if models.models[members[n].model].drive is not None)
+    model_of = {name: models.models[members[name].model] for name in names}
+    robots = tuple(name for name, model in model_of.items() if model.is_robot)
     counts = [len(template.visual_joints) for template in templates.values()]
     starts = np.cumsum([0, *counts])
-    driven = frozenset(robots)
+    driven = frozenset(name for name in robots if model_of[name].drive is not None)
     return RenderedFleet(
         names=names,
         groups=tuple(

@@ -251,7 +251,7 @@ def write_summary(now: FleetReading) -> str:
     if stats is None:
         return "no server has reported yet"
     wanted = f"{stats.target_real_time_factor:g}" if stats.target_real_time_factor else "unlimited"
-    robots = sum(now.models.models[one.model].drive is not None for one in now.models.entities)
+    robots = sum(now.models.models[one.model].is_robot for one in now.models.entities)
     parts = (
         f"world {stats.world}: {stats.state} at {stats.sim_time_s:.1f} s",
         f"real-time factor {stats.real_time_factor:.2f} of {wanted}",

@@ -6,6 +6,7 @@ import pytest
 
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.model_messages import JointController
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
 from zensim.spawner.page.entity_list import (
     CATEGORIES,
@@ -53,6 +54,18 @@ def test_each_entity_has_a_category() -> None:
     found = [find_category(fleet, name) for name in fleet.names]
 
     assert found == ["Robots", "Robots", "Objects", "World"]
+
+
+def test_an_arm_is_a_robot_without_the_colour_of_one_that_drives() -> None:
+    arm = msgspec.structs.replace(
+        make_robot(), drive=None, joint_controllers=(JointController("arm", ("bot_axle",)),)
+    )
+
+    fleet = make_fleet(("arm",), make_models_by_name({"arm": arm}))
+
+    assert find_category(fleet, "arm") == "Robots"
+    assert fleet.robots == ("arm",)
+    assert [one.colour for one in list_entities(fleet)] == [""]
 
 
 @pytest.mark.parametrize(
