@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.integration.chromium import Chromium, Tab
-from zensim.spawner.page.page_server import FRONT_END
+from zensim.spawner.page.page_files import read_page_file
 from zensim.spawner.page.page_tools import STYLE
 
 pytestmark = pytest.mark.browser
@@ -44,7 +44,7 @@ def tab(request: pytest.FixtureRequest) -> Iterator[Tab]:
         found.set_size(*request.param, is_mobile=request.param == SIZES["phone"])
         found.evaluate(SET_UP.replace("STYLE", json.dumps(STYLE)))
         found.evaluate(
-            f"{FRONT_END.read_text('utf-8')}; dispatchEvent(new Event('DOMContentLoaded'))"
+            f"{read_page_file('front_end.js')}; dispatchEvent(new Event('DOMContentLoaded'))"
         )
         found.until("document.querySelectorAll('.zensim-pad button').length === 5")
         yield found

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from zensim.spawner.page.page_server import HOVER_SCRIPT
+from zensim.spawner.page.page_files import read_page_file
 
 NODE = shutil.which("node") or "node"
 pytestmark = pytest.mark.browser
@@ -62,7 +62,7 @@ NAMES = '{"/robots/0": ["north wall", "east wall"], "/robots/1": ["r1"]}'
 def find_names(*points: tuple[float, float]) -> list[str]:
     """Find the names at places on the ground [m]."""
     scene = SCENE.replace("BATCHES", BATCHES).replace("NAMES", NAMES)
-    code = scene + HOVER_SCRIPT + POINT.replace("POINTS", json.dumps(points))
+    code = scene + read_page_file("hover_names.js") + POINT.replace("POINTS", json.dumps(points))
     done = subprocess.run(
         [NODE, "-e", code], capture_output=True, text=True, timeout=60, check=False
     )
