@@ -75,6 +75,7 @@ class _DrivesOfKind:
         positions, velocities = (
             values[:, self._joints].reshape(len(self._twists), measured) for values in joints
         )
+        self._drive.begin(time_ns)
         found = self._drive.update(
             due,
             self._twists[due],

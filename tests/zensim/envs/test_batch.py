@@ -1,5 +1,6 @@
 """Batch: copies of a world in arrays."""
 
+import tracemalloc
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 
@@ -55,6 +56,19 @@ def drive_world(model: str, twists: Sequence[tuple[float, float, float]]) -> tup
             batch.step([one, one])
         assert batch.digest(0) == batch.digest(1)
         return own.state_hash(), batch.digest(1)
+
+
+def test_steps_keep_nothing(world: zensim.World) -> None:
+    batch = Batch(world, 8)
+    run(batch, 20)
+    tracemalloc.start()
+    try:
+        run(batch, 200)
+        grown, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+
+    assert grown < 200 * 8 * ROBOTS * 8  # one number a robot and step
 
 
 @pytest.mark.parametrize("model", ["box_bot", "omni_bot", "car_bot", "trike_bot", "skid_bot"])
