@@ -31,6 +31,8 @@ FALLS = ("it falls", "it sinks")
 """How remarks begin that predict that a robot does not stand."""
 MIN_FALL_M = 0.05
 """Least distance by which a robot comes down that was predicted to fall."""
+FALLEN_RAD = math.pi / 4.0
+"""Tilt of a robot that has fallen over."""
 MAX_SHIFT_M = 3.0
 """Largest distance from its place of a robot that nothing drives."""
 MAX_HEIGHT_M = 1.0
@@ -311,7 +313,12 @@ def _judge_undriven(result: TrialResult) -> tuple[Verdict, str]:
     if max(math.hypot(x, y), -z) > MAX_SHIFT_M or z > MAX_HEIGHT_M:
         return "unstable", f"nothing drives it, and it moves to x {x:.2f}, y {y:.2f}, z {z:.2f} m"
     wheels = next((remark for remark in result.remarks if remark.startswith("no drive")), "")
-    return ("no drive", wheels) if wheels else ("stands", "")
+    if wheels:
+        return "no drive", wheels
+    if result.tilt_rad > FALLEN_RAD:
+        fallen = f"rests tilted by {math.degrees(result.tilt_rad):.0f} degrees"
+        return "predicted", f"it falls over, as nothing moves its joints: {fallen}"
+    return "stands", ""
 
 
 def _list_faults(

@@ -120,6 +120,7 @@ STILL = moved(TURN, 0.0, 0.0, 0.0)
         ({"error": "urdf.number: ..."}, "refused"),
         ({"error": "TypeError: ...", "is_fault": True}, "crashed"),
         ({"straight": None, "turn": None}, "stands"),
+        ({"straight": None, "turn": None, "tilt_rad": 1.8}, "predicted"),
         ({"straight": None, "turn": None, "shift": (0.0, 0.0, -9.0)}, "unstable"),
         ({"straight": None, "turn": None, "remarks": ("no drive: …",)}, "no drive"),
     ],
