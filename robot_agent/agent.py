@@ -58,6 +58,9 @@ HOUSEKEEPING_PERIOD_S = 0.02
 """Period of everything but driving, which is not urgent."""
 SLOW_HOUSEKEEPING_PERIOD_S = 0.1
 """The same with robots where requests end the pause: then only what is due by time is left."""
+Answer = tuple[tuple[int, int, bytes, int] | None, bytes]
+"""Epoch, step, claims and order of a state that was answered, and the command."""
+NO_ANSWER: Answer = None, b""
 MAX_LOGGED_CLAIMS = 20
 """Most robots claimed at once that are named; of more only the number is logged."""
 REST_POLL_S = 0.01
@@ -150,6 +153,9 @@ class RobotSet(HousekeepingTarget, Protocol):
 
 class Agent:
     """The agent of one process; it acts only in `poll`."""
+
+    _answer = NO_ANSWER
+    """To the last state."""
 
     def __init__(self, network: AgentNetwork, config: AgentConfig) -> None:
         world, agent = config.world, config.agent
@@ -290,6 +296,7 @@ class Agent:
                 self._claim_client.retry_soon()
                 continue
             self._state_order.forget()
+            self._answer = NO_ANSWER
             self._claim_client.forget_call()
             self._early_state.forget()
             self._claims = b""
@@ -328,7 +335,7 @@ class Agent:
             self._poll_schedule.note_state(self._now_s, is_awaited=state.is_awaited)
             self._priority.note_state(self._now_s, state)
             self._early_state.forget()
-            if state.is_awaited and not self._robots.holds(state.claims):
+            if not self._robots.holds(state.claims):
                 self._early_state.keep(sample)
             self._follow(state)
         except MalformedPayload as error:
@@ -355,11 +362,19 @@ class Agent:
         self._handle_lost(lost, "the entity is gone")
         if not state.claims:
             return
+        key = state.epoch, state.step, state.claims, state.order
+        if key == self._answer[0]:
+            # The server asks again; commands that came since count from the next state on.
+            self._commands.send(self._answer[1])
+            return
         if self._robots.repeats(state):
             # The telemetry of this step is published.
-            self._commands.send(encode(self._robots.repeat(state), Format.MSGPACK))
+            payload = encode(self._robots.repeat(state), Format.MSGPACK)
+            self._answer = key, payload
+            self._commands.send(payload)
             return
         payload = encode(self._rest_if_idle(state, self._robots.advance(state)), Format.MSGPACK)
+        self._answer = key, payload
         self._answered += 1
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:

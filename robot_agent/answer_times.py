@@ -44,9 +44,9 @@ class LateCommandWindow:
 
 
 class EarlyState:
-    """Keeps an awaited state that came before the reply with its claims, for when that is here.
+    """Keeps a state that came before the reply with its claims, for when that is here.
 
-    Else it is never answered: the server has no reason to publish it again before its timeout.
+    Else it is never answered: a server that waits for it, or whose world is paused, has no newer.
     """
 
     def __init__(self) -> None:

@@ -69,6 +69,8 @@ class Lockstep:
         self.settings = settings or LockstepSettings()
         self._sent: dict[str, _SentState] = {}
         self._awaited: set[str] = set()
+        self._unanswered: set[str] = set()
+        """Agents with a last state whose reply is neither awaited nor here."""
         self._misses: dict[str, int] = {}
         self._unresponsive: set[str] = set()
         self._last_check_ns = 0
@@ -98,6 +100,11 @@ class Lockstep:
         return tuple(sorted(self._awaited))
 
     @property
+    def unanswered(self) -> frozenset[str]:
+        """Agents that have not replied to their last state, for which nothing has waited."""
+        return frozenset(self._unanswered)
+
+    @property
     def is_waiting(self) -> bool:
         """Whether any reply is awaited."""
         return bool(self._awaited)
@@ -121,10 +128,13 @@ class Lockstep:
         if not self._awaited:
             self._last_check_ns = now_ns
         self._awaited.discard(client)
+        self._unanswered.discard(client)
         self._sent[client] = _SentState(
             state.epoch, state.step, state.claims, state.order, state.is_awaited
         )
         if not state.is_awaited:
+            if state.claims:
+                self._unanswered.add(client)
             return True
         if self._goes_on and client in self._unresponsive:
             self._misses[client] += 1
@@ -143,6 +153,7 @@ class Lockstep:
         if not sent.matches(reply):
             return not sent.is_awaited
         self._awaited.discard(client)
+        self._unanswered.discard(client)
         return True
 
     def save(self) -> SentStates:
@@ -156,6 +167,7 @@ class Lockstep:
         """Replace what `save` took."""
         self._sent = {client: _SentState(*state, is_awaited=False) for client, state in saved}
         self._awaited.clear()
+        self._unanswered.clear()
 
     def find_late(self, now_ns: int) -> tuple[str, ...]:
         """Advance wall time; list the clients whose timeout has just ended.
@@ -178,6 +190,7 @@ class Lockstep:
         self._sent.pop(client, None)
         self._misses.pop(client, None)
         self._awaited.discard(client)
+        self._unanswered.discard(client)
         self._unresponsive.discard(client)
 
     def _is_late(self, client: str) -> bool:

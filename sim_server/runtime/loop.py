@@ -1,7 +1,7 @@
 """Server loop: requests, commands, physics and telemetry in this order, at the target speed."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -49,6 +49,8 @@ MIN_STATE_INTERVAL_NS = 2_000_000
 TAKEOVER_NS = 2_000_000
 """Time a robot that a silent pool keeps its robots from others: these need as long to begin on a
 busy machine, and are silent meanwhile."""
+REPEAT_PAUSED_NS = 1_000_000_000
+"""Wall time after which a state that nothing waits for is published again while paused."""
 RESEND_AFTER_NS = 20_000_000
 """Wall time after which a state is published again to an agent that has not replied."""
 LOG = logging.getLogger(__name__)
@@ -190,6 +192,25 @@ class AgentSessions:
                 self._publish_state(agent, state)
         self._world.commanded_twists.note_published()
         self._published_twists = changes
+
+    def publish_unanswered(self) -> None:
+        """Publish states again before requested steps, which wait for the replies.
+
+        Else whether an agent obeys from the first step on depends on when it got its claims. In a
+        world that is paused, an agent may have got the state before them.
+        """
+        agents = self._lockstep.unanswered
+        if agents and not self._pacing.step_goals.has_steps_left:
+            agents = self._find_unanswered_for_long(agents)
+        for agent, state in self._world.drive_states() if agents else ():
+            if agent in agents:
+                self._publish_state(agent, state)
+
+    def _find_unanswered_for_long(self, agents: Iterable[str]) -> frozenset[str]:
+        if self._world.clock.state == State.PLAYING:
+            return frozenset()
+        end_ns = self._pacing.now_ns() - REPEAT_PAUSED_NS
+        return frozenset(one for one in agents if self._awaited_since_ns.get(one, 0) < end_ns)
 
     def save(self) -> SavedSessions:
         """Take what tells which states agents have."""
@@ -551,6 +572,7 @@ class ServerLoop:
         self._reply_to_pending()
         self.agent_sessions.publish_changed_claims()
         self.agent_sessions.publish_ordered_twists()
+        self.agent_sessions.publish_unanswered()
 
     def _queue(self, call: ServiceCall, *, may_refuse: bool) -> bool:
         """Let a request wait, refuse it or end it without a value; return whether it is refused."""

@@ -17,9 +17,8 @@ class NotDriven(TimeoutError):
 class DrivenCount:
     """Counts the robots of a list that agents drive.
 
-    A robot is driven once an agent has claimed and commanded it. In a world that is paused the
-    claim is enough: commands come with steps. A subscription to the odometry of all would make
-    every pool declare a publisher for each robot.
+    A robot is driven once an agent has claimed and commanded it. A subscription to the odometry of
+    all would make every pool declare a publisher for each robot.
     """
 
     def __init__(self, client: SimClient, names: Sequence[str]) -> None:
@@ -44,16 +43,11 @@ class DrivenCount:
         return self._count
 
     def _read_count(self) -> int:
-        info = self._client.info()
-        is_paused = info.state == "paused"
-        of_all = info.claimed if is_paused else info.driven
+        of_all = self._client.info().driven
         if of_all < len(self._names):
             # Robots of others may be among them: at least one of ours is missing.
             return max(self._count, min(of_all, len(self._names) - 1))
-        if not is_paused:
-            return len(self._names & self._client.stats().ready_s.keys())
-        found = self._client.models(tuple(sorted(self._names))).entities
-        return sum(bool(one.agent) for one in found)
+        return len(self._names & self._client.stats().ready_s.keys())
 
 
 def wait_until_driven(

@@ -1,4 +1,4 @@
-"""A scenario has equal states and equal bytes in a world in process and on a server in lockstep.
+"""Runs have equal states and equal bytes in a world in process and on a server in lockstep.
 
 Left out: `thousand`, for its time; topics of the world, which a server publishes by wall time;
 odometry of robots that are divided among other pools, because numpy's sine depends on the length of
@@ -10,8 +10,12 @@ from pathlib import Path
 
 import pytest
 
+import zensim
+from tests.contract.repository import ROOT
 from tests.scenario.scenario_runs import run_alone
+from zensim.api.simulation import Simulation
 from zensim.deploy.scenario_process import RunRequest
+from zensim.proto.messages.standard_messages import JointState
 from zensim.recording.recording_reader import RecordingReader
 from zensim.scenario.scenario_reader import find_scenario_file
 
@@ -22,6 +26,7 @@ SCENARIOS = {
     "warehouse": (("end.at=0.2 s",), {"bumper_states", "imu", "joint_states", "odom", "tf"}),
 }
 """Settings of shipped scenarios, and topics of robots that have equal bytes."""
+ARM = ROOT / "examples" / "arm" / "arm_bot.urdf"
 ROBOT_CHUNKS = 3
 """Parts of `/robot/topic`, split at slashes."""
 FEWEST_COMMON = 5
@@ -56,3 +61,22 @@ def test_states_and_topics_of_robots_are_those_of_a_server(name: str, tmp_path: 
         common = {time: payload for time, payload in messages.items() if time >= begin}
         assert len(common) >= FEWEST_COMMON, topic
         assert common == {t: data for t, data in there[topic].items() if t >= begin}, topic
+
+
+def move_arm(sim: Simulation) -> str:
+    """Command an arm before the first step and later, with a robot that comes between."""
+    with sim:
+        topic = sim.spawn(str(ARM), name="arm").topic("joint_commands")
+        topic.put(JointState(name=("shoulder",), position=(0.5,)))
+        sim.step(2)
+        sim.spawn("box_bot", name="box", x=3.0).drive(0.3)
+        sim.step(10)
+        topic.put(JointState(name=("shoulder",), position=(-0.5,)))
+        sim.step(30)
+        return sim.state_hash()
+
+
+def test_joints_obey_messages_alike() -> None:
+    here = move_arm(zensim.World(engine="mujoco"))
+
+    assert [move_arm(zensim.launch(engine="mujoco")) for _ in range(2)] == [here, here]

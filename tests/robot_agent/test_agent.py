@@ -304,10 +304,9 @@ def test_agent_answers_a_state_that_follows_its_claim() -> None:
     assert [command.step for command in scene.server.commands()] == [5]
 
 
-@pytest.mark.parametrize(("is_awaited", "steps"), [(True, [5]), (False, [])])
-def test_agent_answers_an_awaited_state_that_came_before_its_claim(
+@pytest.mark.parametrize("is_awaited", [True, False])
+def test_agent_answers_a_state_that_came_before_its_claim(
     is_awaited: bool,  # noqa: FBT001  a parameter of the test
-    steps: list[int],
 ) -> None:
     scene = Scene("r1")
     kept = scene.server.entities.pop("r1")
@@ -321,7 +320,21 @@ def test_agent_answers_an_awaited_state_that_came_before_its_claim(
     scene.poll()
 
     assert early == []
-    assert [command.step for command in scene.server.commands()] == steps
+    assert [command.step for command in scene.server.commands()] == [5]
+
+
+def test_agent_gives_the_same_answer_to_a_state_that_is_published_again() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.server.send(a_state(3))
+    scene.poll()
+    (first,) = scene.server.commands()
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+
+    scene.server.send(replace(a_state(3), is_awaited=True))
+    scene.poll()
+
+    assert scene.server.commands() == [first]
 
 
 @pytest.mark.parametrize(("is_awaited", "order"), [(True, "oc"), (False, "co")])

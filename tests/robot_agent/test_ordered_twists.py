@@ -70,9 +70,7 @@ def test_state_of_the_same_step_with_another_order_replaces_the_answer(robots: R
     assert targets_of(command) == [pytest.approx((-2.0, 2.0)), pytest.approx((1.0, 1.0))]
 
 
-def test_order_drives_a_robot_at_the_step_at_which_another_one_is_claimed(
-    robots: RobotSet,
-) -> None:
+def test_order_drives_a_robot_at_the_step_at_which_another_one_is_claimed(robots: RobotSet) -> None:
     robots.release_all_except(a_state(1, (1,)).claims)
     robots.advance(a_state(1, (1,)))
     robots.add_claims([a_claim(3, "r3")])

@@ -62,6 +62,7 @@ LOST_S = 0.5
 TOKEN_TIMEOUT_S = 2.0
 """Limit on the delay until the server has received the token of this client."""
 CALL_TIMEOUT_S = 10.0
+SUBSCRIBER_TIMEOUT_S = 1.0
 SENSOR_TIMEOUT_S = 30.0
 """Limit on the start of a sensor process, with its libraries and meshes."""
 
@@ -293,12 +294,22 @@ class ServerAccess(WorldAccess):
     def publish(self, key: str, message: msgspec.Struct) -> None:
         """See `WorldAccess`."""
         self._require_open()
-        form = Format.MSGPACK if key.startswith("sim/") else Format.CDR
-        kind = type(message)
+        self._find_publisher(key, type(message)).send(encode(message, _find_form(key)))
+
+    def await_subscriber(self, key: str, kind: type[msgspec.Struct]) -> None:
+        """See `WorldAccess`; returns after some time where no agent is."""
+        publisher = self._find_publisher(key, kind)
+        deadline = time.monotonic() + limit(SUBSCRIBER_TIMEOUT_S)
+        while not publisher.is_matched and time.monotonic() < deadline:
+            self._watch()
+            time.sleep(POLL_S)
+
+    def _find_publisher(self, key: str, kind: type[msgspec.Struct]) -> "BusPublisher":
         if (key, kind) not in self._publishers:
             self._require_role(Operation.PUBLISH, key)
-            self._publishers[key, kind] = self.bus.advertise(key, make_encoding(kind, form))
-        self._publishers[key, kind].send(encode(message, form))
+            encoding = make_encoding(kind, _find_form(key))
+            self._publishers[key, kind] = self.bus.advertise(key, encoding)
+        return self._publishers[key, kind]
 
     def wait_until_driven(self, names: Sequence[str], timeout_s: float) -> None:
         """See `WorldAccess`."""
@@ -432,3 +443,7 @@ class ServerAccess(WorldAccess):
             raise Closed("this simulation belongs to the parent process", slug="forked")
         if self._is_closed:
             raise Closed("this simulation is closed")
+
+
+def _find_form(key: str) -> Format:
+    return Format.MSGPACK if key.startswith("sim/") else Format.CDR

@@ -94,7 +94,7 @@ class Topic(Generic[Message]):
         self.kinds: tuple[type[msgspec.Struct], ...] = (kind,)
         self.settings: msgspec.Struct | None = None
         self.is_latched = False
-        self.before_first_put: Callable[[], None] | None = None
+        self.before_first_put: Callable[[type[msgspec.Struct]], None] | None = None
         self._on_callback = on_callback
         self._on_subscribed = on_subscribed
         self._access = access
@@ -207,7 +207,7 @@ class Topic(Generic[Message]):
                 f"{self.key} takes {names}, not {type(message).__name__}", slug="wrong_message"
             )
         if self.before_first_put is not None:
-            self.before_first_put()
+            self.before_first_put(type(message))
             self.before_first_put = None
         self._access.publish(self.key, message)
 

@@ -112,6 +112,9 @@ class WorldAccess(ABC):
             Timeout: The sensor process that is to measure it does not reply.
         """
 
+    def await_subscriber(self, key: str, kind: type[msgspec.Struct]) -> None:  # noqa: B027  likewise
+        """Wait until a topic that an agent reads has a subscriber, so that no message is lost."""
+
     @abstractmethod
     def hold_bond(self) -> str:
         """Return the name of a bond: its entities are deleted when this process ends."""

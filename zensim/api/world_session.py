@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -422,7 +423,7 @@ class WorldSession:
             on_callback=self._start_dispatch_thread,
             on_subscribed=lambda: self._await_sensor(key),
         )
-        topic.before_first_put = lambda: self._refuse_published(key)
+        topic.before_first_put = partial(self._prepare_put, key)
         spec = _find_spec(key)
         topic.is_latched = spec is not None and spec.is_latched
         if spec is not None and kind in spec.messages:
@@ -438,8 +439,12 @@ class WorldSession:
         key, spec = known[topic]
         return self.find_topic(key, spec.messages[0])
 
-    def _refuse_published(self, key: str) -> None:
-        """Raise Invalid if the simulation publishes this topic of a robot."""
+    def _prepare_put(self, key: str, kind: type[msgspec.Struct]) -> None:
+        """Wait until the agent of a robot subscribes to its topic.
+
+        Raises:
+            Invalid: The simulation publishes this topic.
+        """
         for entry in self.roster().entries.values():
             if not key.startswith(f"{entry.namespace}/"):
                 continue
@@ -452,6 +457,8 @@ class WorldSession:
                     slug="not_a_command",
                     hint=f"'{entry.name}' takes {', '.join(taken) or 'no commands'}",
                 )
+            if any(key == topics[name][0] for name in taken):
+                self.access.await_subscriber(key, kind)
 
     def _await_sensor(self, key: str) -> None:
         """Wait until a sensor process has the subscription, so that each run has equal scans."""

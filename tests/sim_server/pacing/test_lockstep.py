@@ -53,6 +53,19 @@ def test_unawaited_state_needs_no_reply() -> None:
     assert lockstep.record_answer("a", command(1))
 
 
+def test_agent_that_has_not_replied_to_an_unawaited_state_is_known() -> None:
+    lockstep = a_lockstep()
+    lockstep.record_sent("a", state(3, is_awaited=False), 0)
+    lockstep.record_sent("sensors", state(3, is_awaited=False, claims=b""), 0)
+
+    before = lockstep.unanswered
+    lockstep.record_answer("a", command(2))
+    late = lockstep.unanswered
+    lockstep.record_answer("a", command(3))
+
+    assert (before, late, lockstep.unanswered) == ({"a"}, {"a"}, frozenset())
+
+
 @pytest.mark.parametrize(
     "other", [command(2), command(4), command(3, epoch=1), command(3, claims=b"\x02\0\0\0")]
 )

@@ -338,3 +338,34 @@ def test_free_running_loop_waits_for_no_agent() -> None:
 
     assert server.world.clock.steps == 20
     assert not any(state.is_awaited for _, state in server.publisher.drive_states)
+
+
+def test_requested_steps_wait_for_the_reply_to_the_state_of_a_claim() -> None:
+    server = a_locked_server("r0", is_on=False)
+    server.world.clock.pause()
+    server.loop.turn()
+    server.publisher.drive_states = []
+
+    call = server.request("step_simulation", StepSimulationRequest(1))
+    server.loop.turn()
+    waited = server.world.clock.steps
+    turn(server, 3)
+
+    assert (waited, server.world.clock.steps) == (0, 1)
+    assert result_of(call).result == ResultCode.OK
+
+
+def test_state_of_a_claim_is_published_again_while_the_world_is_paused() -> None:
+    server = a_locked_server("r0", is_on=False)
+    server.world.clock.pause()
+    server.loop.turn()
+    server.publisher.drive_states = []
+
+    server.wall.sleep(0.5)
+    server.loop.turn()
+    early = list(server.publisher.drive_states)
+    server.wall.sleep(1.0)
+    server.loop.turn()
+
+    assert early == []
+    assert [agent for agent, _ in server.publisher.drive_states] == ["r0"]

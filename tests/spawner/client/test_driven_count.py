@@ -40,16 +40,16 @@ def test_no_robots_are_all_driven_without_a_call() -> None:
     assert DrivenCount(ServedWorld().client, []).missing == 0
 
 
-def test_claimed_robots_of_a_paused_world_are_driven() -> None:
-    served = ServedWorld("r0", "r1", "other")
+def test_a_claim_is_not_enough_in_a_paused_world() -> None:
+    served = ServedWorld("r0")
     served.world.clock.pause()
-    served.world.claim("a", ("r0", "other"), "stop")
-    count = DrivenCount(served.client, ["r0", "r1"])
+    count = DrivenCount(served.client, ["r0"])
+    served.world.claim("a", ("r0",), "stop")
 
-    one = count.poll()
-    served.world.claim("b", ("r1",), "stop")
+    claimed_only = count.poll()
+    drive(served, "a", "r0")
 
-    assert (one, count.poll()) == (1, 2)
+    assert (claimed_only, count.poll()) == (0, 1)
 
 
 def test_wait_names_the_robot_that_no_agent_drives() -> None:
