@@ -65,7 +65,7 @@ GOALS: Final[Mapping[str, int]] = {
 }
 CEILINGS: Final[Mapping[str, int]] = {
     **GOALS,
-    "source lines": 148_150,  # ADRs 153, 154, 160, 164; inertia; 1,150 for faults of audits
+    "source lines": 147_800,  # ADRs 153, 154, 160, 164; inertia; 1,150 for faults of audits
     "longest import chain": 32,
     "classes of networks": 30,
     "classes with six verbs of engines": 11,

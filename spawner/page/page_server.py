@@ -38,7 +38,7 @@ from zensim.proto.web_access import (
 from zensim.spawner.page.page_files import read_page_file
 from zensim.spawner.page.page_messages import is_offered, note_control, read_page_message
 from zensim.spawner.page.page_tools import Rows, make_tools_script
-from zensim.spawner.page.script_messages import DRIVE_SCRIPT, ScriptMessage, read_script_message
+from zensim.spawner.page.script_messages import ScriptMessage, read_script_message
 
 CLOSE_TIMEOUT_S: Final = 0.1
 """Limit of the closing handshake of a websocket."""
@@ -376,8 +376,10 @@ def _replace_title(response: Response, shortcuts: Rows) -> None:
 @lru_cache(maxsize=4)
 def _with_title(body: bytes, shortcuts: Rows, *, is_packed: bool) -> bytes:
     page = gzip.decompress(body) if is_packed else body
-    hover, front_end = read_page_file("hover_names.js"), read_page_file("front_end.js")
-    parts = (hover, DRIVE_SCRIPT, make_tools_script(shortcuts), front_end)
+    hover, keys, own = (
+        read_page_file(name) for name in ("hover_names.js", "drive_keys.js", "front_end.js")
+    )
+    parts = (hover, keys, make_tools_script(shortcuts), own)
     scripts = "".join(f"<script>{part}</script>" for part in parts)
     head = f"<title>{TITLE}</title>{scripts}".encode()
     titled = page.replace(b"<title>Viser</title>", head, 1)

@@ -8,7 +8,6 @@ import pytest
 
 from tests.integration.chromium import Chromium, Tab
 from zensim.spawner.page.page_files import read_page_file
-from zensim.spawner.page.page_tools import STYLE
 
 pytestmark = pytest.mark.browser
 
@@ -42,7 +41,7 @@ def tab(request: pytest.FixtureRequest) -> Iterator[Tab]:
     with Chromium() as browser:
         found = browser.tab()
         found.set_size(*request.param, is_mobile=request.param == SIZES["phone"])
-        found.evaluate(SET_UP.replace("STYLE", json.dumps(STYLE)))
+        found.evaluate(SET_UP.replace("STYLE", json.dumps(read_page_file("page_tools.css"))))
         found.evaluate(
             f"{read_page_file('front_end.js')}; dispatchEvent(new Event('DOMContentLoaded'))"
         )

@@ -3,8 +3,9 @@
 import re
 
 from zensim.spawner.page.edit_panel import make_pictures_html
+from zensim.spawner.page.page_files import read_page_file
 from zensim.spawner.page.page_theme import MUTED_BUTTON
-from zensim.spawner.page.page_tools import STYLE, make_help_html, make_tools_script
+from zensim.spawner.page.page_tools import make_help_html, make_tools_script
 
 
 def test_help_lists_given_keys_as_text() -> None:
@@ -24,7 +25,7 @@ def test_script_cannot_end_its_element() -> None:
 def test_style_knows_the_colour_of_muted_buttons() -> None:
     colour = "#" + "".join(f"{part:02x}" for part in MUTED_BUTTON)
 
-    assert f'[style*="{colour}"]' in STYLE
+    assert f'[style*="{colour}"]' in read_page_file("page_tools.css")
 
 
 def test_names_of_models_break_after_underscores_and_are_read_as_one() -> None:

@@ -7,8 +7,8 @@ import subprocess
 import msgspec
 import pytest
 
+from zensim.spawner.page.page_files import read_page_file
 from zensim.spawner.page.script_messages import (
-    DRIVE_SCRIPT,
     ScriptMessage,
     ZensimAct,
     ZensimDrive,
@@ -50,7 +50,8 @@ STOP = [0, 0, 0]
 
 def run(actions: str, *, is_on: bool = True) -> tuple[list[object], list[str]]:
     """Run the script and actions; return what it sent, and keys that viser did not get."""
-    code = f"{PAGE}{DRIVE_SCRIPT};window.zensimDrives({str(is_on).lower()});{actions};{END}"
+    script = f"{PAGE}{read_page_file('drive_keys.js')}"
+    code = f"{script};window.zensimDrives({str(is_on).lower()});{actions};{END}"
     done = subprocess.run(
         [NODE, "-e", code], capture_output=True, text=True, timeout=60, check=False
     )
