@@ -93,7 +93,8 @@ class DrivePanel(Panel):
             return "you" if driver == self._visitor else "another visitor"
         is_known = self._entity in state.fleet.rows
         moves = is_known and is_moving(state.state_of(self._entity))
-        return format_command(state.commands.get(self._entity), moves=moves)
+        order = self._client.find_order(self._entity)
+        return format_command(state.commands.get(self._entity), moves=moves, order=order)
 
     def change_selection(self) -> None:
         """Drive the robot that is selected now."""

@@ -38,6 +38,7 @@ class EntityPanel(Panel):
         self._outlines = SelectionOutlines(client)
         client.gui.add_html(make_list_html(can_act=client.can_act))
         self._vehicles = VehicleDisplay(client.scene)
+        client.find_order = self._vehicles.find_order
         self._details = EntityDetails(client, self._vehicles)
 
     def draw(self, state: PageState) -> None:

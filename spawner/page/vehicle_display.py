@@ -40,6 +40,11 @@ class VehicleDisplay:
         """Find what a vehicle does; None if no program has said so of late."""
         return self._statuses.find(entity)
 
+    def find_order(self, entity: str) -> str:
+        """Find the order of a vehicle; empty if there is none."""
+        vehicle = self.find(entity)
+        return vehicle.order if vehicle is not None else ""
+
     def draw(self, entities: Sequence[str], state: PageState) -> None:
         """Draw the routes of exactly these entities."""
         found = [(state.state_of(name)[:3], self.find(name)) for name in entities]

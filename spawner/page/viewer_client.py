@@ -147,6 +147,7 @@ class ViewerClient:
         state: What is drawn.
         now_s: Reads the monotonic time [s].
         can_act: Whether it may change the world.
+        find_order: Finds the order of a vehicle of a fleet manager; empty if there is none.
         receive: Called with each message of the page's script, by the thread that receives.
         choose_model: Called with the model whose picture the visitor has pressed.
         notify: Notifies another visitor.
@@ -180,6 +181,7 @@ class ViewerClient:
         self.selected: tuple[str, ...] = ()
         self.camera_mode: CameraMode = "Orbit"
         self.state = PageState()
+        self.find_order: Callable[[str], str] = lambda _: ""
         self.receive: Callable[[ScriptMessage], None] = ignore
         self.choose_model: Callable[[str], None] = ignore
         self.notify: Callable[[int, str], None] = lambda _visitor, _text: None

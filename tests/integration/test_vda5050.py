@@ -24,6 +24,7 @@ from tests.node_peers.node_packages import FOLDER, start_script
 from tests.zensim.vda5050.orders import action, edge, header, node, order
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import open_bus
+from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.messages.vehicle_messages import FleetStatus, VehicleStatus
 from zensim.proto.topic_catalog import VEHICLES
 from zensim.spawner.client.topic_reader import read_topic
@@ -125,6 +126,23 @@ def test_vehicle_drives_an_order_with_an_update_and_an_action(
     assert {"version", "manufacturer", "serialNumber", "timestamp", position} <= set(done)
     assert re.fullmatch(r"\d{4}(-\d\d){2}T\d\d(:\d\d){2}\.\d{3}Z", done["timestamp"])
     assert [one["connectionState"] for one in master.list("r1", "connection")][-1] == "OFFLINE"
+
+
+def test_a_command_by_hand_takes_over_until_the_fleet_manager_goes_on(
+    sim: api.Sim, broker: Broker
+) -> None:
+    with connected(broker) as master, vehicles(sim, broker):
+        master.send("r2", "order", make_way(master.wait("r2", lambda _: True), 5.0))
+        master.wait("r2", lambda one: one["driving"])
+        sim.robots["r2"].topic("cmd_vel").put(Twist())
+        master.wait("r2", lambda one: one["operatingMode"] == "MANUAL" and not one["driving"])
+        since = len(master.list("r2"))
+        master.send("r2", "instantActions", instant("stopPause"))
+        gone_on = master.wait("r2", lambda one: one["driving"], since=since)
+        master.send("r2", "instantActions", instant("cancelOrder"))
+        master.wait("r2", lambda one: not one["driving"], since=since)
+
+    assert (gone_on["operatingMode"], gone_on["paused"]) == ("AUTOMATIC", False)
 
 
 def test_vehicle_is_paused_and_canceled(sim: api.Sim, broker: Broker) -> None:

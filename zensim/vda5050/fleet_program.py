@@ -18,7 +18,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, TwistCommands, s
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.messages.vehicle_messages import FleetStatus
-from zensim.proto.topic_catalog import SNAPSHOT, TWISTS, VEHICLES
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT, TWISTS, VEHICLES
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.client.topic_reader import read_topic
 from zensim.spawner.client.world_follower import FAILURES, WorldFollower
@@ -49,6 +49,8 @@ SILENCE_S: Final = 2.0
 """Wall time without a snapshot after which vehicles do not know where they are."""
 CALL_TIMEOUT_S: Final = 2.0
 SNAPSHOT_DEPTH: Final = 4
+MANUAL_DEPTH: Final = 256
+"""Commands of people that wait, of all robots."""
 
 
 class ServedFleet(NamedTuple):
@@ -89,6 +91,7 @@ class FleetProgram:
         self._follower = WorldFollower(bus, world)
         self._snapshots = read_topic(bus, SNAPSHOT.key(world), Snapshot, SNAPSHOT_DEPTH)
         self._twists = bus.advertise(TWISTS.key(world), TWISTS.encoding)
+        self._manual = bus.subscribe(f"**/{CMD_VEL.name}", MANUAL_DEPTH)
         self._statuses = bus.advertise(VEHICLES.key(world), VEHICLES.encoding)
         self._status_due_s = 0.0
         self._name = f"vda5050-{uuid.uuid4().hex[:12]}"
@@ -101,6 +104,8 @@ class FleetProgram:
         self._served: dict[str, _Served] = {}
         self._names: dict[str, str] = {}
         """Names of robots by serial number."""
+        self._by_key: dict[str, str] = {}
+        """Names of robots by the key of their `cmd_vel`."""
         self._due: dict[str, tuple[float, float, float]] = {}
         """Wall time of earliest and latest next state and of the next visualization, by robot."""
 
@@ -116,6 +121,7 @@ class FleetProgram:
             self._token.close()
             self._follower.close()
             self._snapshots.close()
+            self._manual.close()
             self._twists.close()
             self._statuses.close()
 
@@ -123,6 +129,9 @@ class FleetProgram:
         self._follow_world()
         for message in self._links.poll(POLL_S):
             self._take(self._names.get(message.serial, ""), message.topic, message.payload)
+        for sample in self._manual.take():
+            if (vehicle := self._fleet.find(self._by_key.get(sample.key, ""))) is not None:
+                vehicle.take_over()
         self._take_snapshot()
         # What a state says must outlive this process, so it is saved first.
         self._save()
@@ -254,6 +263,7 @@ class FleetProgram:
         for name, robot in robots.items():
             if name not in self._served:
                 self._add(robot, models)
+        self._by_key = {CMD_VEL.key(one.namespace): name for name, one in robots.items()}
         boxes = {one.entity: self._boxes.get(one.model) for one in models.entities}
         found = {name: box for name, box in boxes.items() if box is not None}
         self._loads.set_boxes(found, frozenset(robots))

@@ -106,6 +106,7 @@ class Vehicle:
         needs_stop: The next node or stop is another one.
         needs_save: The record has changed.
         needs_factsheet: A factsheet was requested.
+        is_manual: Somebody has taken over the robot during an order.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Vehicle:
         self.errors: list[VehicleError] = []
         self.record = VehicleRecord(charge=settings.battery.at_start)
         self.needs_state = self.needs_route = self.needs_stop = True
-        self.needs_save = self.needs_factsheet = False
+        self.needs_save = self.needs_factsheet = self.is_manual = False
 
     @property
     def progress(self) -> OrderProgress:
@@ -151,6 +152,12 @@ class Vehicle:
     def restore(self, record: VehicleRecord) -> None:
         """Continue what was kept on disk."""
         self.record, self.needs_route, self.needs_state = record, True, True
+
+    def take_over(self) -> None:
+        """Stand, as somebody drives the robot by hand, until `stopPause`."""
+        if not (self.progress.is_idle or self.is_manual):
+            self.is_manual = True
+            self._change(is_paused=True)
 
     def take_order(self, payload: bytes, pose: VehiclePose) -> None:
         """Accept an order or an update, or report why not."""
@@ -294,6 +301,7 @@ class Vehicle:
 
     def _pause(self, action: Action, _: VehiclePose) -> InstantState:
         is_paused = action.action_type == "startPause"
+        self.is_manual &= is_paused
         self._change(is_paused=is_paused)
         return InstantState(action, "RUNNING" if is_paused else "FINISHED")
 

@@ -335,9 +335,13 @@ class VehicleFleet:
     def _choose(self, twists: FloatArray) -> tuple[Sequence[str], FloatArray]:
         """Choose the vehicles that are commanded, and those that are released now."""
         active = np.array(
-            [one is not None and not one.progress.is_idle for one in self.vehicles], dtype=bool
+            [
+                one is not None and not (one.progress.is_idle or one.is_manual)
+                for one in self.vehicles
+            ],
+            dtype=bool,
         )
-        # A vehicle is released after its order when it stands.
+        # A vehicle is released after its order, or for who drives it by hand, when it stands.
         still = ~self._driving
         rows = np.flatnonzero(active | self._active)
         twists[~active & still] = math.nan

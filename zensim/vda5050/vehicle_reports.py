@@ -66,7 +66,7 @@ def report_state(vehicle: Vehicle, motion: VehicleMotion) -> Message:
         "paused": record.is_paused,
         "newBaseRequest": len(progress.nodes) > progress.base and progress.base <= 1,
         "distanceSinceLastNode": round(motion.since_node_m, 3),
-        "operatingMode": "AUTOMATIC",
+        "operatingMode": "MANUAL" if vehicle.is_manual else "AUTOMATIC",
         "nodeStates": [_report_node(one) for one in progress.nodes],
         "edgeStates": [_report_edge(one) for one in progress.edges],
         "loads": [] if record.load is None else [{"loadId": record.load}],

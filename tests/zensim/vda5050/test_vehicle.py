@@ -172,6 +172,22 @@ def test_vehicle_is_paused_and_goes_on() -> None:
     assert not vehicle.is_waiting
 
 
+def test_vehicle_that_somebody_drives_stands_in_manual_mode_until_it_may_go_on() -> None:
+    vehicle = make()
+    vehicle.take_over()
+    idle = report_state(vehicle, VehicleMotion())["operatingMode"]
+    vehicle.take_order(write(line((0, 0), (2, 0))), HERE)
+
+    vehicle.take_over()
+    taken = report_state(vehicle, VehicleMotion())
+
+    assert idle == "AUTOMATIC"
+    assert (taken["operatingMode"], taken["paused"], vehicle.is_waiting) == ("MANUAL", True, True)
+    assert instant(vehicle, "stopPause", "b") == "FINISHED"
+    assert report_state(vehicle, VehicleMotion())["operatingMode"] == "AUTOMATIC"
+    assert not vehicle.is_waiting
+
+
 @pytest.mark.parametrize("major", [2, 3])
 def test_instant_actions_that_cannot_be_done_fail_with_an_error(major: Major) -> None:
     vehicle = make(major)

@@ -12,7 +12,7 @@ from zensim.proto.messages.vehicle_messages import MAX_ROUTE_POINTS, VehicleStat
 from zensim.vda5050.footprint_check import Box
 from zensim.vda5050.path_follower import VehicleLimits
 from zensim.vda5050.route_geometry import FloatArray
-from zensim.vda5050.vehicle import Vehicle
+from zensim.vda5050.vehicle import Vehicle, VehiclePose
 from zensim.vda5050.vehicle_fleet import VehicleFleet
 from zensim.vda5050.vehicle_reports import report_status
 
@@ -255,6 +255,24 @@ def test_status_says_paused_arrived_and_rejected() -> None:
 
     assert (arrived.task, arrived.goal, arrived.route) == ("idle", "", b"")
     assert len(arrived.errors) == 1
+
+
+def test_vehicle_that_somebody_takes_over_stops_and_is_released() -> None:
+    world = World((0, 0))
+    send(world, "r0")
+    world.run(1.0)
+
+    world.find("r0").take_over()
+    released = set()
+    for _ in range(round(2.0 / DT_S)):
+        world.run(DT_S)
+        released |= world.released
+    stood = world.twists[0].copy()
+    world.find("r0").take_instant_actions(write(pause("stopPause")), VehiclePose())
+    world.run(0.5)
+
+    assert (not stood.any(), released) == (True, {"r0"})
+    assert world.twists[0, 0] > 0.1
 
 
 def test_long_route_is_told_by_few_points() -> None:
