@@ -35,7 +35,11 @@ class FloorPicker:
     """Takes the next click of a visitor on the floor, for one purpose at a time."""
 
     def __init__(
-        self, scene: viser.SceneApi, post: Callable[[Act], None], warn: Callable[[str], None]
+        self,
+        scene: viser.SceneApi,
+        post: Callable[[Act], None],
+        warn: Callable[[str], None],
+        show: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Take no click before `pick` is called.
 
@@ -43,8 +47,9 @@ class FloorPicker:
             scene: Of the visitor.
             post: Queues a function for the thread that draws.
             warn: Notifies the visitor.
+            show: Shows the visitor that a click is awaited for a purpose; empty = not any more.
         """
-        self._scene, self._post, self._warn = scene, post, warn
+        self._scene, self._post, self._warn, self._show = scene, post, warn, show
         self._wanted: tuple[str, PointCallback, Act] | None = None
 
     def pick(self, purpose: str, on_point: PointCallback, on_cancel: Act = do_nothing) -> None:
@@ -59,6 +64,7 @@ class FloorPicker:
         self._wanted = (purpose, on_point, on_cancel)
         if before is None:
             self._scene.on_click()(self._handle)
+            self._show(purpose)
         elif before[0] != purpose:
             before[2]()
 
@@ -75,6 +81,7 @@ class FloorPicker:
     def _stop(self) -> None:
         self._scene.remove_click_callback(self._handle)
         self._wanted = None
+        self._show("")
 
     def _handle(self, event: viser.SceneClickEvent) -> None:
         self._post(lambda: self._take(event.ray_origin, event.ray_direction))

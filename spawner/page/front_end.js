@@ -506,6 +506,16 @@ function nameSheet(sheet) {
   });
 }
 
+// Called by the server of the page: for what it waits for a click on the floor; empty = nothing.
+window.zensimPicks = (purpose) => document.body.classList.toggle("zensim-picks", purpose !== "");
+
+// viser takes a captured pointer for that of handles; browsers capture each touch by themselves.
+addEventListener("pointerdown", (event) => {
+  const {target, pointerId} = event;
+  if (!document.body.classList.contains("zensim-picks") || event.pointerType !== "touch") return;
+  if (target.hasPointerCapture(pointerId)) target.releasePointerCapture(pointerId);
+}, true);
+
 addEventListener("DOMContentLoaded", () => {
   setInterval(refresh, REFRESH_MS);
   addEventListener("resize", showLists);

@@ -32,7 +32,7 @@ class ReplayPanel(Panel):
         gui = client.gui
         self._text = gui.add_html("")
         self._position = gui.add_slider(
-            "Position", min=0.0, max=1.0, step=SLIDER_STEP_S, initial_value=0.0
+            "Position [s]", min=0.0, max=1.0, step=SLIDER_STEP_S, initial_value=0.0
         )
         self._position.on_update(client.defer(self._seek))
         moves = gui.add_button_group("Move", MOVES)

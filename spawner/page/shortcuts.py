@@ -44,10 +44,8 @@ DRIVE_TO: Final = PageCommand("Drive to a click on the floor", "G")
 DELETE: Final = PageCommand("Delete what is selected", "D", "shift")
 UNDO: Final = PageCommand("Undo the deletion", "Z", "shift")
 COMMANDS: Final = (PLAY_OR_PAUSE, STEP_ONCE, RESET, STOP_ALL, TAKE_OVER, DRIVE_TO, DELETE, UNDO)
-LOOK_SHORTCUTS: Final = (Shortcut("Ctrl+K", "command palette"),)
-"""Shortcuts of a page whose visitors may look only."""
 SHORTCUTS: Final = (
     *DRIVE_SHORTCUTS,
     *(Shortcut(one.keys, one.label) for one in COMMANDS),
-    *LOOK_SHORTCUTS,
+    Shortcut("Ctrl+K", "command palette"),
 )

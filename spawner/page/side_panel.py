@@ -54,6 +54,7 @@ CONNECTING: Final = SimulationStatus(state="connecting…")
 STATE_COLOURS: Final = {
     "playing": "var(--zensim-green)",
     "paused": AMBER,
+    "stopped": "var(--mantine-color-dimmed)",
     CONNECTING.state: "var(--mantine-color-dimmed)",
 }
 """Colours of the state; any other state is red."""

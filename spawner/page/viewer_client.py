@@ -177,7 +177,7 @@ class ViewerClient:
         self.sensors = SensorDisplay(client.scene, client.gui)
         self.scenery = Scenery(client)
         self.scenery.keep(None)
-        self.picker = FloorPicker(client.scene, post, self.warn)
+        self.picker = FloorPicker(client.scene, post, self.warn, self._show_picking)
         self.selected: tuple[str, ...] = ()
         self.camera_mode: CameraMode = "Orbit"
         self.state = PageState()
@@ -237,6 +237,9 @@ class ViewerClient:
             self.warn(reason)
 
         self._call(WorldCall(service, request, on_reply, fail, timeout_s))
+
+    def _show_picking(self, purpose: str) -> None:
+        self.run_script(f"zensimPicks({json.dumps(purpose)})")
 
     def add_command(self, command: PageCommand, act: Act) -> None:
         """Add a command to the palette, with its key."""

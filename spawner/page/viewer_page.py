@@ -38,7 +38,7 @@ from zensim.spawner.page.script_messages import (
     ZensimTheme,
 )
 from zensim.spawner.page.sensor_views import SensedFrame, SensorChoice
-from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
+from zensim.spawner.page.shortcuts import SHORTCUTS
 from zensim.spawner.page.side_panel import (
     CONNECTING,
     Order,
@@ -130,7 +130,7 @@ class ViewerPage:
         self._state = PageState()
         self._names, self._is_grey = b"{}", False
         self._next_text_at, self._has_new_text = 0.0, False
-        keys = SHORTCUTS if driver is not None else LOOK_SHORTCUTS
+        keys = SHORTCUTS if driver is not None else ()  # without commands, viser has no palette
         self._server = open_server(host, port, lambda: self._names, access, self._receive, keys)
         set_up_scene(self._server)
         self._lighting = SceneLighting(self._server.scene)

@@ -125,6 +125,13 @@ class Tab:
         self._mouse("mousePressed", x, y, **left)
         self._mouse("mouseReleased", x, y, **left)
 
+    def touch(self, x: float, y: float) -> None:
+        """Tap a position with a finger."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        self.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
     def press(self, label: str) -> None:
         """Click the visible button with this text."""
         labelled = (

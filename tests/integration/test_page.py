@@ -45,7 +45,7 @@ from zensim.spawner.page.render_state import (
     make_frame,
 )
 from zensim.spawner.page.robot_driver import RobotDriver
-from zensim.spawner.page.shortcuts import LOOK_SHORTCUTS, SHORTCUTS
+from zensim.spawner.page.shortcuts import SHORTCUTS
 from zensim.spawner.page.side_panel import RED
 from zensim.spawner.page.viewer_page import TEXT_PERIOD_S, ViewerPage
 
@@ -404,9 +404,7 @@ def test_help_has_the_keys_that_the_page_has(page: ViewerPage) -> None:
         seen, acting = read_page(watching), read_page(page)
 
     assert [shortcut.what in acting for shortcut in SHORTCUTS] == [True] * len(SHORTCUTS)
-    assert [one.what for one in SHORTCUTS if one.what in seen] == [
-        one.what for one in LOOK_SHORTCUTS
-    ]
+    assert not any(one.what in seen for one in SHORTCUTS)
 
 
 def make_certificate(folder: Path) -> tuple[str, str]:

@@ -25,7 +25,7 @@ def test_time_line_moves_the_recording(url: str) -> None:
         slider = ""
         while True:
             for message in read_messages(connection.recv(timeout=30.0)):
-                if message.get("props", {}).get("label") == "Position":
+                if message.get("props", {}).get("label") == "Position [s]":
                     slider = str(message["uuid"])
                 content = str(message.get("updates", {}).get("content", ""))
                 if slider and "of 0:10.00, playing" in content and "0:07" not in content:

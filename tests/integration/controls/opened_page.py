@@ -181,18 +181,24 @@ class Page:
         self.controls.until(SELECT_ALONE % ("", ""))
         self.controls.until("!window.zensimIsDriving")
 
-    def click_scene(self, across: float = 0.5) -> None:
+    def click_scene(self, across: float = 0.5, *, by_finger: bool = False) -> None:
         """Click the floor at a share of the width."""
         left, top, width, height = self.tab.evaluate(SCENE_BOX)
-        self.tab.click(left + across * width, top + FLOOR_SHARES[self.size] * height)
+        click = self.tab.touch if by_finger else self.tab.click
+        click(left + across * width, top + FLOOR_SHARES[self.size] * height)
 
     def click_scene_until(
-        self, is_done: Callable[[], bool], what: str, across: float = 0.5
+        self,
+        is_done: Callable[[], bool],
+        what: str,
+        across: float = 0.5,
+        *,
+        by_finger: bool = False,
     ) -> None:
         """Click the floor until it has an effect: the page may not wait for a click yet."""
 
         def attempt() -> bool:
-            self.click_scene(across)
+            self.click_scene(across, by_finger=by_finger)
             return bool(self.tab.evaluate(PAUSE % 500)) and is_done()
 
         eventually(attempt, WITHIN_S, what)

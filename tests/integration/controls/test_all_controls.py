@@ -183,8 +183,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageControls]
             yield PageControls(open_page(browser, url, folder, WIDE))
 
 
-POSITION = Control("Recording", "slider", "Position")
-POSITION_FIELD, RATE = a_field("Recording", "Position"), a_choice("Recording", "Rate")
+POSITION = Control("Recording", "slider", "Position [s]")
+POSITION_FIELD, RATE = a_field("Recording", "Position [s]"), a_choice("Recording", "Rate")
 MOVES = ("Play", "Pause", "-5 s", "+5 s")
 OF_RECORDING = {
     POSITION,

@@ -140,12 +140,17 @@ def has_value(page: Page, control: Control, value: str) -> bool:
     return page.controls.value_of(control) == value
 
 
+@pytest.mark.parametrize("by_finger", [False, True], ids=["mouse", "finger"])
 @uses(a_button("Edit", "Place by click"))
-def test_place_is_that_of_a_click(page: Page) -> None:
-    field = a_field("Edit", PLACE)
+def test_place_is_that_of_a_click(page: Page, by_finger: bool) -> None:  # noqa: FBT001
+    field, picks = a_field("Edit", PLACE), "document.body.classList.contains('zensim-picks')"
     page.controls.write(field, "77")
     page.controls.click(a_button("Edit", "Place by click"))
-    page.click_scene_until(lambda: page.controls.value_of(field) != "77", "a place")
+    page.controls.until(picks)
+    page.click_scene_until(
+        lambda: page.controls.value_of(field) != "77", "a place", by_finger=by_finger
+    )
+    page.controls.until("!" + picks)
 
 
 @uses(a_checkbox("Edit", "Handles"))

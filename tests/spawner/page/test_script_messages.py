@@ -121,11 +121,12 @@ def test_space_stops_with_and_without_shift(more: str) -> None:
 
 
 @pytest.mark.browser
-def test_letters_drive_though_a_tab_has_the_focus_and_arrows_change_the_tab() -> None:
-    tab = "{target: Object.assign(new HTMLElement(), {kind: '[role=tab]'})}"
+@pytest.mark.parametrize("kind", ["[role=tab]", "[role=menuitem]"])
+def test_letters_drive_though_a_control_has_the_focus_and_arrows_move_in_it(kind: str) -> None:
+    control = f"{{target: Object.assign(new HTMLElement(), {{kind: '{kind}'}})}}"
 
-    assert run(f"down('ArrowUp', {tab});tick()") == ([], [])
-    assert run(f"down('KeyW', {tab})") == ([[1, 0, 0]], ["KeyW"])
+    assert run(f"down('ArrowUp', {control});tick()") == ([], [])
+    assert run(f"down('KeyW', {control})") == ([[1, 0, 0]], ["KeyW"])
 
 
 @pytest.mark.browser
