@@ -155,7 +155,7 @@ class Agent:
     """The agent of one process; it acts only in `poll`."""
 
     _answer = NO_ANSWER
-    """To the last state."""
+    """Answer to the last state."""
 
     def __init__(self, network: AgentNetwork, config: AgentConfig) -> None:
         world, agent = config.world, config.agent

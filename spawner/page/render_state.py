@@ -106,7 +106,7 @@ class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
     models: tuple[Model, ...] = ()
     """Models, which `EntityModel.model` indexes."""
     driven: frozenset[str] = frozenset()
-    """Those of `robots` with a drive."""
+    """Robots with a drive."""
 
     def model_of(self, name: str) -> Model:
         """Return the model of an entity."""

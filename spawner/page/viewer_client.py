@@ -153,6 +153,8 @@ class ViewerClient:
         notify: Notifies another visitor.
     """
 
+    camera_mode: CameraMode = "Orbit"
+
     def __init__(
         self,
         client: viser.ClientHandle,
@@ -176,10 +178,8 @@ class ViewerClient:
         self.post, self._call = post, call
         self.sensors = SensorDisplay(client.scene, client.gui)
         self.scenery = Scenery(client)
-        self.scenery.keep(None)
         self.picker = FloorPicker(client.scene, post, self.warn, self._show_picking)
         self.selected: tuple[str, ...] = ()
-        self.camera_mode: CameraMode = "Orbit"
         self.state = PageState()
         self.find_order: Callable[[str], str] = lambda _: ""
         self.receive: Callable[[ScriptMessage], None] = ignore
@@ -194,6 +194,7 @@ class ViewerClient:
         self._names: tuple[str, ...] = ()
         self._camera_at = np.array(START_CAMERA[0])
         self._shown: tuple[tuple[str, ...], int, float] = ((), 0, 0.0)
+        self.scenery.keep(None)
 
     def add_tabs(self, factories: Mapping[str, PanelFactory]) -> None:
         """Add the panels, one in each tab of a group."""

@@ -33,7 +33,7 @@ OWN = {
     "sim_server/physics/mujoco/convex_pieces.py": OF_THE_STORE,
     "sim_server/security/router_process.py": "the pipe of a child process",
     "spawner/page/edit_panel.py": OF_THE_PACKAGE,
-    "spawner/page/page_server.py": OF_THE_PACKAGE,
+    "spawner/page/page_files.py": OF_THE_PACKAGE,
     "spawner/spawn/description_sources.py": OF_THE_PACKAGE,
     "spawner/teleop/gamepad.py": "the device of a game pad, event by event",
     "spawner/top/local_processes.py": OF_THE_KERNEL,

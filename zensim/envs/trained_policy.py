@@ -100,7 +100,7 @@ class Policy:
         for weights, bias in self._layers[:-1]:
             rows = np.tanh(rows @ weights + bias)
         weights, bias = self._layers[-1]
-        return np.clip(rows @ weights + bias, -1.0, 1.0)
+        return np.asarray(np.clip(rows @ weights + bias, -1.0, 1.0))
 
 
 def load_baseline(task: str) -> Policy:
