@@ -81,7 +81,7 @@ class Bumper:
         self._rate_hz = sensor.update_rate_hz
         self._frame_id = sensor.frame_id
         self._names = {
-            place: SCOPE_SEPARATOR.join((claim.entity, claim.model.links[place[0]].name, name))
+            place: f"{claim.entity}{SCOPE_SEPARATOR}{name}"
             for place, name in zip(settings.collisions, settings.names, strict=True)
         }
         self._seen_step: int | None = None

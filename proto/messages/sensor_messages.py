@@ -136,8 +136,6 @@ class CameraSensor(msgspec.Struct, frozen=True, gc=False, tag="camera"):
     """Greater depths are published as +inf."""
     noise: Noise = NO_NOISE
     """Noise of colours in 0 to 1."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 of plumb_bob, as camera_info says them; images are not distorted."""
     stereo_baseline_m: float = 0.0
     """`hack_baseline` of Gazebo: P[3] = -f * baseline."""
     is_triggered: bool = False

@@ -52,7 +52,7 @@ POINT_FIELDS = tuple(
 POINT_STEP = 16
 JPEG_QUALITY = 80
 """Quality that image_transport's compressed publisher uses."""
-DISTORTION_MODEL = "plumb_bob"
+DISTORTION_MODEL, NO_DISTORTION = "plumb_bob", (0.0,) * 5
 MAX_BYTE = 255.0
 
 WriteImage = Callable[[CameraImages], bytes]
@@ -208,7 +208,7 @@ def make_camera_info(settings: CameraSensor, compat: Compat) -> CameraInfo:
         height=settings.height,
         width=settings.width,
         distortion_model=DISTORTION_MODEL,
-        d=settings.distortion,
+        d=NO_DISTORTION,
         k=(focal, 0.0, cx, 0.0, focal, cy, 0.0, 0.0, 1.0),
         r=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         p=(focal, 0.0, cx, shift, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0),

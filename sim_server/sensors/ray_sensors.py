@@ -103,12 +103,13 @@ class RangeWriter:
 
 
 class PointsWriter:
-    """Writes the finite points as PointCloud2: x, y, z and intensity 0, as Gazebo does."""
+    """Writes the finite points as PointCloud2: x, y, z and the least intensity, as Gazebo does."""
 
     def __init__(self, settings: RaySensor, frames: Sequence[str], _: Compat) -> None:
         """Encode the templates of sensors with these frames."""
         template = PointCloud2(height=1, fields=POINT_FIELDS, point_step=POINT_STEP, is_dense=True)
         self._directions = make_ray_directions(settings)
+        self._intensity = max(0.0, settings.min_intensity)
         self._messages = ArrayMessages(
             _in_frames(template, frames), array="data", item=b"\1", integers=("width", "row_step")
         )
@@ -121,7 +122,8 @@ class PointsWriter:
         self._messages.fill(
             rows, time_ns, lengths=sizes, integers=np.stack([counts, sizes], axis=1)
         )
-        return self._messages.write(rows, [_add_intensity(one).tobytes() for one in points])
+        filled = [_add_intensity(one, self._intensity).tobytes() for one in points]
+        return self._messages.write(rows, filled)
 
 
 class OrganizedPointsWriter:
@@ -266,7 +268,7 @@ def _find_points(directions: FloatArray, ranges: FloatArray) -> list[FloatArray]
     return points
 
 
-def _add_intensity(points: FloatArray) -> FloatArray:
-    table = np.zeros((len(points), POINT_STEP // 4), dtype="<f4")
+def _add_intensity(points: FloatArray, intensity: float) -> FloatArray:
+    table = np.full((len(points), POINT_STEP // 4), intensity, dtype="<f4")
     table[:, :3] = points
     return table

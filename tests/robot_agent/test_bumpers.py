@@ -23,6 +23,7 @@ from zensim.robot_agent.robots import IndividualRobots
 STEP_NS = 10_000_000
 ENVIRONMENT = Environment(step_ns=STEP_NS, control_steps=1)
 WALL = "wall::link::collision"
+LINKS = tuple(link.name for link in two_wheeler(DRIVE).links)
 Row = tuple[int, int, int, int]
 POINT = (1.0, 2.0, 0.5, -1.0, 0.0, 0.0, 0.001, -3.0, 0.5, 0.0)
 
@@ -32,7 +33,9 @@ def a_touchy_robot(rate_hz: float = 0.0, *, has_drive: bool = True) -> Model:
         return Sensor(
             *(name, "contact", "base_link", "base_link"),
             update_rate_hz=rate_hz,
-            settings=ContactSensor(((link, 0), (link, 1)), (f"{name}_0", f"{name}_1")),
+            settings=ContactSensor(
+                ((link, 0), (link, 1)), (f"{LINKS[link]}::{name}_0", f"{LINKS[link]}::{name}_1")
+            ),
             topics=(SensorTopic("bumper_states", f"{name}/bumper_states"),),
             frame_id="world",
         )

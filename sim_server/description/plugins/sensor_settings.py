@@ -395,6 +395,7 @@ def read_camera(source: SensorSource) -> CameraSensor:
     near, far = _read_clip(source)
     fov = _read_fov(source)
     _check_format(source)
+    _check_distortion(source)
     min_depth, max_depth = _read_depth_limits(source, near, far)
     return CameraSensor(
         kind=kind,
@@ -406,7 +407,6 @@ def read_camera(source: SensorSource) -> CameraSensor:
         min_depth_m=min_depth,
         max_depth_m=max_depth,
         noise=read_noise(source.tags, "camera/noise"),
-        distortion=_read_distortion(source),
         stereo_baseline_m=source.plugin_value("hack_baseline", "hackBaseline", "baseline"),
         is_triggered=_read_triggered(source),
     )
@@ -479,11 +479,14 @@ def _read_depth_limits(source: SensorSource, near: float, far: float) -> tuple[f
     return low, high
 
 
-def _read_distortion(source: SensorSource) -> tuple[float, float, float, float, float]:
+def _check_distortion(source: SensorSource) -> None:
     own = [read_value(source.tags, f"camera/distortion/{part}", 0.0) for part in DISTORTION]
     of_plugin = [source.plugin_value(*names) for names in PLUGIN_DISTORTION]
-    k1, k2, p1, p2, k3 = own if any(own) else of_plugin
-    return (k1, k2, p1, p2, k3)
+    if any((*own, *of_plugin)):
+        source.report.ignored(
+            source.tags.label("camera/distortion"),
+            "images are not distorted, and camera_info has coefficients of 0",
+        )
 
 
 def _check_format(source: SensorSource) -> None:

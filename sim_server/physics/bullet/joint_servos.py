@@ -16,6 +16,7 @@ from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import Joint
 from zensim.sim_server.physics.actuation import MAX_EFFORT, JointMotor
 from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
+from zensim.sim_server.physics.mimic_joints import list_following_joints
 
 POSITION_GAIN = 0.1
 """Share of the error of a position that a step corrects; Bullet's for its motors."""
@@ -87,7 +88,8 @@ def find_couplings(
     numbers = [number for number, _ in moving]
     motor_of = {numbers.index(motor.joint): motor for motor in motors}
     left_out = {numbers.index(number) for number in driven}
-    followers = [one for one in _list_followers(moving) if one.leader not in left_out]
+    found = list_following_joints([joint for _, joint in moving])
+    followers = [one for one in found if one.leader not in left_out]
     following = {one.place for one in followers}
     leaders = sorted((motor_of.keys() | {one.leader for one in followers}) - following - left_out)
     if not leaders:
@@ -105,29 +107,6 @@ def find_couplings(
         tuple(motor_of.get(place) for place in leaders),
         np.flatnonzero(ratios.any(axis=1)),
     )
-
-
-class _Follower(NamedTuple):
-    """A joint at `place` whose position is that of the joint at `leader` times ratio, + offset."""
-
-    place: int
-    leader: int
-    ratio: float
-    offset: float
-
-
-def _list_followers(moving: Sequence[tuple[int, Joint]]) -> Iterator[_Follower]:
-    """List the joints that mimic another one that moves, each with the end of its chain."""
-    places = {joint.name: place for place, (_, joint) in enumerate(moving)}
-    for place, (_, joint) in enumerate(moving):
-        at, ratio, offset = place, 1.0, 0.0
-        while (mimic := joint.mimic) is not None and mimic.joint in places:
-            offset += ratio * mimic.offset
-            ratio *= mimic.multiplier
-            at = places[mimic.joint]
-            joint = moving[at][1]  # noqa: PLW2901
-        if at != place:
-            yield _Follower(place, at, ratio, offset)
 
 
 class ServoTargets(NamedTuple):

@@ -427,6 +427,10 @@ class KinematicRobots:
         steering = group.joints[:, [*vehicle.steered.joints, *vehicle.turned.joints]]
         if steering.shape[1]:
             self.positions.numbers[steering] += self.velocities[steering] * self._dt_s
+        for place, leader, ratio, offset in vehicle.following:
+            own, leading = group.joints[:, place], group.joints[:, leader]
+            self.positions.numbers[own] = ratio * self.positions.numbers[leading] + offset
+            self.velocities[own] = ratio * self.velocities[leading]
 
     def _joints(self, row: int) -> slice:
         start = int(self._table.joint_start[row])

@@ -21,6 +21,7 @@ from zensim.sim_server.description.motion_prediction import (
 )
 from zensim.sim_server.physics.actuation import JointMotor, make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.mimic_joints import FollowingJoint, list_following_joints
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint
 
 if TYPE_CHECKING:
@@ -118,6 +119,7 @@ class PlanarVehicle:
         can_tip: Whether its wheels could tip it over.
         steering_rad_s: Maximum speed of each motor of `steered`.
         moved: Motors of controlled joints.
+        following: Joints that mimic others, by their indices.
     """
 
     width: int
@@ -135,6 +137,7 @@ class PlanarVehicle:
     can_tip: bool
     steering_rad_s: tuple[float, ...]
     moved: tuple[MovedJoint, ...] = ()
+    following: tuple[FollowingJoint, ...] = ()
 
 
 def make_planar_vehicle(
@@ -203,7 +206,14 @@ class _VehicleGeometry:
                 _make_moved_joint(motor, self.model.joints[motor.joint])
                 for motor in plan.joint_motors
             ),
+            following=self._list_following(),
         )
+
+    def _list_following(self) -> tuple[FollowingJoint, ...]:
+        """List the joints that nothing but a `<mimic>` moves: wheels roll on the ground."""
+        rolling = {wheel.joint for wheel in self.wheels} | set(self.steering)
+        found = list_following_joints(self.model.joints)
+        return tuple(one for one in found if one.place not in rolling)
 
     def _effort(self) -> float:
         """Find the acceleration [m/s^2] by the effort of the motors without slip."""

@@ -131,6 +131,13 @@ def test_points_are_finite_and_in_the_axes_of_the_sensor() -> None:
     assert points.tolist() == [pytest.approx([WALL_M, 0.0, 0.0, 0.0])]
 
 
+def test_points_have_the_least_intensity() -> None:
+    (sample,) = sense(a_sensor("points", min_intensity=5.0)).take()
+    cloud = decode(PointCloud2, sample.payload, sample.encoding)
+
+    assert set(np.frombuffer(cloud.data, "<f4")[3::4].tolist()) == {5.0}
+
+
 def test_points_of_gz_sim_have_a_row_for_each_ring() -> None:
     rows = ScanAxis(3, -math.pi / 8, math.pi / 8)
     sensor = a_sensor("points", vertical=rows, range_max_m=2.5, is_organized=True)

@@ -326,7 +326,6 @@ def test_camera_is_read() -> None:
         min_depth_m=0.05,
         max_depth_m=50.0,
         noise=Noise(kind="gaussian", stddev=0.007),
-        distortion=(0.1, 0.0, 0.0, 0.2, 0.0),
     )
 
 

@@ -2,12 +2,13 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.models import a_box, a_box_bot, a_cart, a_fork, a_state, box_bot_at
+from tests.models import a_body, a_box, a_box_bot, a_cart, a_fork, a_state, box_bot_at
 from tests.sim_server.physics.kinematic.tiered_worlds import (
     heading,
     places,
@@ -16,8 +17,8 @@ from tests.sim_server.physics.kinematic.tiered_worlds import (
     two_tiers,
     with_dynamics,
 )
-from zensim.proto.messages.drive_messages import DiffDrive
-from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.proto.messages.drive_messages import DiffDrive, JointTargetKind
+from zensim.proto.messages.model_messages import Joint, JointController, Link, Mimic, Model, Shape
 from zensim.sim_server.physics.engine import EngineRefused
 from zensim.sim_server.physics.kinematic.kinematic_robots import (
     compute_rolling_speeds,
@@ -318,6 +319,36 @@ def test_tricycle_follows_its_front_wheel(angle: float, rim: float) -> None:
 
     turn = rim * math.sin(angle) / 0.3
     assert twist == pytest.approx([rim * math.cos(angle), turn * 0.1, turn], abs=1e-6)
+
+
+def test_followers_of_a_mimic_follow_chains_of_joints() -> None:
+    bot = a_box_bot()
+    base = bot.links[0].name
+    mimics = {"pan": None, "first": Mimic("pan", -0.5, 0.2), "second": Mimic("first", 2.0, 0.1)}
+    joints = tuple(
+        Joint(
+            *(name, "revolute", base, f"{name}_link"),
+            lower=-2.0,
+            upper=2.0,
+            effort=5.0,
+            velocity=9.0,
+            mimic=mimic,
+        )
+        for name, mimic in mimics.items()
+    )
+    model = msgspec.structs.replace(
+        bot,
+        links=(*bot.links, *(Link(joint.child, a_body(0.1)) for joint in joints)),
+        joints=(*bot.joints, *joints),
+        joint_controllers=(JointController("c", ("pan",)),),
+    )
+    with two_tiers("kinematic") as engine:
+        body = engine.add(model, box_bot_at())
+        engine.command((body,), np.array([0.0, 0.0, JointTargetKind.POSITION, 1.0]))
+        steps(engine, 100)
+        positions = engine.read((body,)).joint_positions
+
+    assert positions[len(bot.joints) :] == pytest.approx([1.0, -0.3, -0.5])
 
 
 @pytest.mark.parametrize("model", [a_box(), a_fork()], ids=["without a drive", "static"])
