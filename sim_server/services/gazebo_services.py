@@ -131,7 +131,6 @@ def _apply(
         now_ns=world.clock.time_ns,
         start_ns=ns_from_time(request.start_time),
         duration_ns=ns_from_time(request.duration),
-        step_ns=world.clock.step_ns,
     )
     if span is None:
         return "duration 0: nothing done"

@@ -19,9 +19,12 @@ class TimeSpan:
     start_ns: int
     end_ns: int | None
 
-    def contains(self, time_ns: int) -> bool:
-        """Whether it contains a time."""
-        return self.start_ns <= time_ns and not self.is_over(time_ns)
+    def find_share(self, time_ns: int, step_ns: int) -> float:
+        """Find the share of a step that begins at a time, 0 to 1."""
+        begin_ns, end_ns = max(self.start_ns, time_ns), time_ns + step_ns
+        if self.end_ns is not None:
+            end_ns = min(end_ns, self.end_ns)
+        return max(0, end_ns - begin_ns) / step_ns
 
     def is_over(self, time_ns: int) -> bool:
         """Whether it has ended."""
@@ -41,9 +44,9 @@ class LinkWrench:
     wrench: FloatArray
     span: TimeSpan
 
-    def apply(self, engine: Engine, body: int) -> None:
-        """Apply it in the next step."""
-        engine.apply_link_wrench(body, self.link, self.wrench)
+    def apply(self, engine: Engine, body: int, share: float) -> None:
+        """Apply it for a share of the next step."""
+        engine.apply_link_wrench(body, self.link, share * self.wrench)
 
 
 @dataclass(frozen=True)
@@ -59,29 +62,26 @@ class JointEffort:
     effort: float
     span: TimeSpan
 
-    def apply(self, engine: Engine, body: int) -> None:
-        """Apply it in the next step."""
-        engine.apply_joint_effort(body, self.joint, self.effort)
+    def apply(self, engine: Engine, body: int, share: float) -> None:
+        """Apply it for a share of the next step."""
+        engine.apply_joint_effort(body, self.joint, share * self.effort)
 
 
 AppliedForce = LinkWrench | JointEffort
 
 
-def make_time_span(
-    *, now_ns: int, start_ns: int, duration_ns: int, step_ns: int
-) -> TimeSpan | None:
-    """Find when a force acts: from now on if its start is past, for at least a step; None = never.
+def make_time_span(*, now_ns: int, start_ns: int, duration_ns: int) -> TimeSpan | None:
+    """Find when a force acts: from now on if its start is past; None = never.
 
     Args:
         now_ns: Simulation time.
         start_ns: Requested start.
         duration_ns: Negative = for ever, 0 = not at all.
-        step_ns: Length of a step.
     """
     if duration_ns == 0:
         return None
     start_ns = max(start_ns, now_ns)
-    return TimeSpan(start_ns, None if duration_ns < 0 else start_ns + max(duration_ns, step_ns))
+    return TimeSpan(start_ns, None if duration_ns < 0 else start_ns + duration_ns)
 
 
 class AppliedForces:
@@ -110,12 +110,17 @@ class AppliedForces:
         """Whether a force acts at a time, or will."""
         return any(not one.span.is_over(time_ns) for one in self._forces)
 
-    def apply(self, engine: Engine, entities: Mapping[str, Entity], time_ns: int) -> None:
-        """Apply the active forces in the next step, and drop those that have ended."""
+    def apply(
+        self, engine: Engine, entities: Mapping[str, Entity], time_ns: int, step_ns: int
+    ) -> None:
+        """Apply the active forces in the next step, and drop those that have ended.
+
+        What acts for a share of the step has that share of the force: the impulse is exact.
+        """
         self._forces = [force for force in self._forces if not force.span.is_over(time_ns)]
         for force in self._forces:
-            if force.span.contains(time_ns):
-                force.apply(engine, entities[force.entity].body)
+            if share := force.span.find_share(time_ns, step_ns):
+                force.apply(engine, entities[force.entity].body, share)
 
     def clear_link(self, entity: str, link: int) -> int:
         """Remove all wrenches on a link; return their number."""

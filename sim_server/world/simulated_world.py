@@ -630,7 +630,9 @@ class SimulatedWorld:
                 for name, own in claimed.joint_targets:
                     self._joint_targets[name] = targets[own]
         if len(self.applied_forces):
-            self.applied_forces.apply(self.engine, self.entities.by_name, self.clock.time_ns)
+            self.applied_forces.apply(
+                self.engine, self.entities.by_name, self.clock.time_ns, self.clock.step_ns
+            )
         is_valid = self.engine.step()
         self.clock.steps += 1
         if not is_valid:

@@ -105,10 +105,9 @@ class EditPanel(Panel):
         self._has_handles.on_update(self._client.defer(self._show_handles))
         self._target = gui.add_vector3("Move to x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.1)
         self._add_button("Move", self.move, "To the numbers above.", MUTED_BUTTON)
-        self._delete_button = self._add_button(
+        self._add_button(
             "Delete", self.delete, f"In {UNDO_S:g} s, see Undo; {DELETE.keys}", STOP_BUTTON
         )
-        self._delete_button.disabled = True
         self._add_button(
             "Undo", self.undo, f"Keeps what is about to be deleted; {UNDO.keys}", MUTED_BUTTON
         )
@@ -129,7 +128,6 @@ class EditPanel(Panel):
         """Put numbers and handles at the entity that is selected now."""
         entity, before = self._find_entity(), self._entity
         self._entity = entity
-        self._delete_button.disabled = not entity
         if entity and entity != before:
             base = self._client.state.state_of(entity)
             heading = math.degrees(to_yaw(base[3:7]))
@@ -282,10 +280,9 @@ class EditPanel(Panel):
 
     def _add_button(
         self, label: str, act: Callable[[], None], hint: str, colour: Rgb | None = None
-    ) -> viser.GuiButtonHandle:
+    ) -> None:
         button = self._client.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda _: self._client.post(act))
-        return button
 
 
 @cache

@@ -40,7 +40,7 @@ from zensim.proto.supervisor import (
     Supervisor,
 )
 from zensim.proto.topic_catalog import CLOCK, read_ros_settings
-from zensim.proto.web_access import add_token, read_page_token
+from zensim.proto.web_access import add_token, read_page_token, split_token
 from zensim.robot_agent.agent_config import AS_DESCRIBED, AgentConfig, AgentProcessConfig
 from zensim.sim_server.sensors.sensor_config import SensorProcessConfig
 from zensim.spawner.client.driven_count import NotDriven, wait_until_driven
@@ -575,7 +575,9 @@ def _read_viewer_url(viewer: SupervisedProgram, page_token: str) -> str:
     line = viewer.process.stdout.readline().decode()
     if not line:
         raise LaunchFailed("the viewer failed; see the line above, or leave out `viewer`")
-    return add_token(line.split()[-1], read_page_token(Path(page_token)) if page_token else "")
+    # On a terminal it has the token, elsewhere how a shell reads it.
+    bare, _ = split_token(line.split()[1])
+    return add_token(bare, read_page_token(Path(page_token)) if page_token else "")
 
 
 def supervise(

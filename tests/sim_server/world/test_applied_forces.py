@@ -43,32 +43,35 @@ def run_steps(world: SimulatedWorld, count: int) -> None:
 
 @given(
     now=st.integers(0, 1000),
-    start=st.integers(0, 10_000_000_000),
-    duration=st.integers(1, 10_000_000_000),
+    start=st.integers(0, 10 * STEP_NS),
+    duration=st.integers(1, 10 * STEP_NS),
 )
-def test_span_covers_its_duration_to_the_step(now: int, start: int, duration: int) -> None:
+def test_shares_of_steps_add_up_to_the_duration(now: int, start: int, duration: int) -> None:
     now_ns = now * STEP_NS
-    span = make_time_span(now_ns=now_ns, start_ns=start, duration_ns=duration, step_ns=STEP_NS)
+    span = make_time_span(now_ns=now_ns, start_ns=now_ns + start, duration_ns=duration)
 
     assert span is not None
-    assert span.end_ns is not None
-    assert span.start_ns >= now_ns
-    first = -(-span.start_ns // STEP_NS)
-    last = -(-span.end_ns // STEP_NS)
-    steps = last - first
-    assert steps >= 1
-    assert abs(steps - max(1, duration / STEP_NS)) <= 1
-    assert span.contains(first * STEP_NS)
-    assert not span.contains(last * STEP_NS)
+    shares = [span.find_share(now_ns + one * STEP_NS, STEP_NS) for one in range(21)]
+    assert sum(shares) * STEP_NS == pytest.approx(duration)
+    assert all(0.0 <= one <= 1.0 for one in shares)
 
 
 def test_span_is_none_without_duration_and_endless_when_it_is_negative() -> None:
     def make_span(duration: int) -> TimeSpan | None:
-        return make_time_span(now_ns=7, start_ns=0, duration_ns=duration, step_ns=STEP_NS)
+        return make_time_span(now_ns=7, start_ns=0, duration_ns=duration)
 
     assert make_span(0) is None
     assert make_span(-1) == TimeSpan(7, None)
-    assert make_span(1) == TimeSpan(7, 7 + STEP_NS)
+    assert make_span(1) == TimeSpan(7, 8)
+
+
+def test_impulse_of_a_part_of_a_step_is_exact() -> None:
+    world = a_world_of_boxes("b")
+    world.applied_forces.add(LinkWrench("b", 0, PULL, TimeSpan(STEP_NS // 2, 3 * STEP_NS)))
+
+    run_steps(world, 5)
+
+    assert speed(world) == pytest.approx(2.5 * DT_S, rel=1e-6)
 
 
 def test_force_acts_from_its_start_to_its_end() -> None:
