@@ -135,7 +135,7 @@ def test_a_command_by_hand_takes_over_until_the_fleet_manager_goes_on(
         master.send("r2", "order", make_way(master.wait("r2", lambda _: True), 5.0))
         master.wait("r2", lambda one: one["driving"])
         sim.robots["r2"].topic("cmd_vel").put(Twist())
-        master.wait("r2", lambda one: one["operatingMode"] == "MANUAL" and not one["driving"])
+        master.wait("r2", lambda one: one["paused"] and not one["driving"])
         since = len(master.list("r2"))
         master.send("r2", "instantActions", instant("stopPause"))
         gone_on = master.wait("r2", lambda one: one["driving"], since=since)

@@ -42,6 +42,7 @@ INSTANT_ACTION: Final = ErrorKind(
     "instantActionError", "WARNING", "INVALID_INSTANT_ACTION", "WARNING"
 )
 OFF_ROUTE: Final = ErrorKind("outOfRoute", "FATAL", "NODE_UNREACHABLE", "CRITICAL")
+NO_PROGRESS: Final = ErrorKind("noProgress", "WARNING", "NO_PROGRESS", "WARNING")
 ACTION_FAILED: Final = ErrorKind("actionError", "WARNING", "ACTION_FAILED", "CRITICAL")
 LOW_BATTERY: Final = ErrorKind("lowBattery", "WARNING", "LOW_BATTERY", "URGENT")
 EMPTY_BATTERY: Final = ErrorKind("emptyBattery", "FATAL", "EMPTY_BATTERY", "FATAL")

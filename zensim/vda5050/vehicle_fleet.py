@@ -11,7 +11,7 @@ from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.rigid_transforms import find_yaw
 from zensim.vda5050 import order_errors
 from zensim.vda5050.footprint_check import CLEARANCE_M, Box, find_free_way
-from zensim.vda5050.order_errors import VehicleError
+from zensim.vda5050.order_errors import ErrorKind, VehicleError
 from zensim.vda5050.path_follower import (
     ALIGNED_RAD,
     BRAKING,
@@ -27,6 +27,12 @@ from zensim.vda5050.vehicle_reports import VehicleMotion
 STILL_M_S: Final = 0.02
 STILL_S: Final = 0.2
 """Simulation time below that speed after which a vehicle stands; drives swing back once."""
+MOVED_RAD: Final = 0.05
+"""Turn that counts as motion, as does a way of `STILL_M_S` times `STANDS_S`."""
+STANDS_S: Final = 1.0
+"""Simulation time without motion after which a vehicle that should drive stands."""
+NO_PROGRESS_S: Final = 5.0
+"""The same until it reports that."""
 IDLE_STEP_S: Final = 1.0
 """Simulation time between two steps of a vehicle without an action."""
 LOOK_PERIOD_S: Final = 0.1
@@ -44,6 +50,8 @@ ROW_ARRAYS: Final = (
     "_free",
     "_touched_s",
     "_moved_s",
+    "_progress_s",
+    "_anchors",
     "_driving",
     "_violated",
     "_active",
@@ -71,6 +79,10 @@ class VehicleFleet:
         """Simulation time of the last contact."""
         self._moved_s = np.zeros(0)
         """Simulation time of the last motion."""
+        self._progress_s = np.zeros(0)
+        """Simulation time at which a vehicle left its anchor, or last had to stand."""
+        self._anchors = np.zeros((0, 3))
+        """Poses from which motion counts as progress."""
         self._driving = np.zeros(0, dtype=bool)
         self._violated = np.zeros(0, dtype=bool)
         self._active = np.zeros(0, dtype=bool)
@@ -164,7 +176,7 @@ class VehicleFleet:
         """
         dt_s = max(0.0, now_s - self._now_s) if self._now_s else 0.0
         self._now_s, self._look_s = now_s, min(self._look_s, now_s + LOOK_PERIOD_S)
-        for times in (self._touched_s, self._moved_s):
+        for times in (self._touched_s, self._moved_s, self._progress_s):
             np.minimum(times, now_s, out=times)
         at, boxes = self._find_rows(names)
         before = self._poses
@@ -288,13 +300,28 @@ class VehicleFleet:
         self._s = progress.s
         has_route = table.last > 0
         is_off = has_route & known & (progress.off > self._max_deviation_m)
-        self._report_off(is_off)
+        text = f"the vehicle is more than {self._max_deviation_m:g} m from its route"
+        self._report(is_off, order_errors.OFF_ROUTE, text)
         arrived = progress.arrived & (table.node_s <= table.stop_s + 1e-6)
         for row in np.flatnonzero((progress.passed | arrived) & known & ~is_off).tolist():
             self._traverse(row)
+        # Turning on the spot is driving, too; before an obstacle a vehicle may creep.
+        is_sent = (np.abs(twists).max(axis=1, initial=0.0) > 0.0) & (gate > STILL_M_S)
+        self._note_motion(is_sent & known)
+        return twists
+
+    def _note_motion(self, is_sent: npt.NDArray[np.bool_]) -> None:
+        """Note which vehicles drive, and report those that are sent on and stand."""
+        way = np.abs(self._poses - self._anchors)
+        turn = np.minimum(way[:, 2], 2.0 * math.pi - way[:, 2])
+        has_moved = (np.hypot(*way[:, :2].T) > STILL_M_S * STANDS_S) | (turn > MOVED_RAD)
+        is_new = has_moved | ~is_sent
+        self._anchors[is_new], self._progress_s[is_new] = self._poses[is_new], self._now_s
+        stood_s = self._now_s - self._progress_s
+        text = f"the vehicle should drive, and stands for {NO_PROGRESS_S:g} s; free its way"
+        self._report(stood_s >= NO_PROGRESS_S, order_errors.NO_PROGRESS, text)
         speed = np.hypot(self._twists[:, 0], self._twists[:, 1])
-        # Turning on the spot is driving, too.
-        moving = (speed > STILL_M_S) | (np.abs(twists).max(axis=1, initial=0.0) > 0.0)
+        moving = ((speed > STILL_M_S) | is_sent) & (stood_s < STANDS_S)
         self._moved_s[moving] = self._now_s
         driving = self._now_s - self._moved_s < STILL_S
         violated = (self._free < CLEARANCE_M) | (self._now_s - self._touched_s < TOUCHED_S)
@@ -302,19 +329,16 @@ class VehicleFleet:
             if (changed := self.vehicles[row]) is not None:
                 changed.needs_state = True
         self._driving, self._violated = driving, violated
-        return twists
 
-    def _report_off(self, is_off: npt.NDArray[np.bool_]) -> None:
-        """Report the vehicles that are far from their routes, until they are back."""
+    def _report(self, rows: npt.NDArray[np.bool_], kind: ErrorKind, text: str) -> None:
+        """Report an error of vehicles that do not get to their next node, until it is over."""
         for vehicle in self:
-            if vehicle.errors and not is_off[self._row[vehicle.name]]:
-                vehicle.clear_error(order_errors.OFF_ROUTE)
-        for row in np.flatnonzero(is_off).tolist():
+            if vehicle.errors and not rows[self._row[vehicle.name]]:
+                vehicle.clear_error(kind)
+        for row in np.flatnonzero(rows).tolist():
             if (vehicle := self.vehicles[row]) is not None and vehicle.progress.nodes:
-                text = f"the vehicle is more than {self._max_deviation_m:g} m from its route"
-                node = vehicle.progress.nodes[0].node_id
-                references = (("nodeId", node),)
-                vehicle.add_error(VehicleError(order_errors.OFF_ROUTE, text, references))
+                references = (("nodeId", vehicle.progress.nodes[0].node_id),)
+                vehicle.add_error(VehicleError(kind, text, references))
 
     def _traverse(self, row: int) -> None:
         vehicle = self.vehicles[row]

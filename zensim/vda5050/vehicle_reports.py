@@ -66,7 +66,7 @@ def report_state(vehicle: Vehicle, motion: VehicleMotion) -> Message:
         "paused": record.is_paused,
         "newBaseRequest": len(progress.nodes) > progress.base and progress.base <= 1,
         "distanceSinceLastNode": round(motion.since_node_m, 3),
-        "operatingMode": "MANUAL" if vehicle.is_manual else "AUTOMATIC",
+        "operatingMode": _find_mode(vehicle),
         "nodeStates": [_report_node(one) for one in progress.nodes],
         "edgeStates": [_report_edge(one) for one in progress.edges],
         "loads": [] if record.load is None else [{"loadId": record.load}],
@@ -89,6 +89,12 @@ def report_state(vehicle: Vehicle, motion: VehicleMotion) -> Message:
         "batteryState": {"batteryCharge": charge, "charging": record.is_charging},
         "safetyState": {"eStop": "NONE", "fieldViolation": is_violated},
     }
+
+
+def _find_mode(vehicle: Vehicle) -> str:
+    """Find the mode; 2.1 has none in which a person drives and the order is kept."""
+    is_intervened = vehicle.is_manual and vehicle.major == 3  # noqa: PLR2004
+    return "INTERVENED" if is_intervened else "AUTOMATIC"
 
 
 def report_status(vehicle: Vehicle, motion: VehicleMotion, route: FloatArray) -> VehicleStatus:

@@ -172,17 +172,18 @@ def test_vehicle_is_paused_and_goes_on() -> None:
     assert not vehicle.is_waiting
 
 
-def test_vehicle_that_somebody_drives_stands_in_manual_mode_until_it_may_go_on() -> None:
-    vehicle = make()
+@pytest.mark.parametrize(("major", "mode"), [(2, "AUTOMATIC"), (3, "INTERVENED")])
+def test_vehicle_that_somebody_drives_is_paused_until_it_may_go_on(major: Major, mode: str) -> None:
+    vehicle = make(major)
     vehicle.take_over()
     idle = report_state(vehicle, VehicleMotion())["operatingMode"]
-    vehicle.take_order(write(line((0, 0), (2, 0))), HERE)
+    vehicle.take_order(write(line((0, 0), (2, 0), major=major)), HERE)
 
     vehicle.take_over()
     taken = report_state(vehicle, VehicleMotion())
 
     assert idle == "AUTOMATIC"
-    assert (taken["operatingMode"], taken["paused"], vehicle.is_waiting) == ("MANUAL", True, True)
+    assert (taken["operatingMode"], taken["paused"], vehicle.is_waiting) == (mode, True, True)
     assert instant(vehicle, "stopPause", "b") == "FINISHED"
     assert report_state(vehicle, VehicleMotion())["operatingMode"] == "AUTOMATIC"
     assert not vehicle.is_waiting

@@ -44,10 +44,10 @@ class World:
         assert found is not None
         return found
 
-    def run(self, seconds: float) -> None:
+    def run(self, seconds: float, *, is_blocked: bool = False) -> None:
         for _ in range(round(seconds / DT_S)):
             yaw = self.poses[:, 2]
-            v, _, w = self.twists.T
+            v, _, w = self.twists.T * (not is_blocked)
             moved = np.column_stack([v * np.cos(yaw), v * np.sin(yaw), w]) * DT_S
             self.poses, self.now_s = self.poses + moved, self.now_s + DT_S
             names, twists = self.fleet.step(self.names, self._make_base(), self.now_s)
@@ -166,6 +166,40 @@ def test_vehicle_that_is_moved_away_stops_with_an_error_until_it_is_back() -> No
     assert not stopped
     assert world.find("r0").errors == []
     assert world.poses[0, 0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_vehicle_that_cannot_move_says_so_until_it_does() -> None:
+    world = World((0, 0))
+    vehicle = world.find("r0")
+    send(world, "r0")
+    world.run(1.0)
+    world.run(4.5, is_blocked=True)
+    motion, early = world.fleet.motion("r0"), list(vehicle.errors)
+    world.run(1.0, is_blocked=True)
+    late, vehicle.needs_state = list(vehicle.errors), False
+    world.run(1.0, is_blocked=True)
+    assert not vehicle.needs_state
+    world.run(0.3)
+    assert vehicle.errors == []
+    assert summarize(world, "r0").task == "driving"
+
+    assert motion is not None
+    assert not motion.is_driving
+    assert early == []
+    assert [(one.kind.type_2, one.kind.level_2) for one in late] == [("noProgress", "WARNING")]
+
+
+def test_vehicle_that_has_to_stand_lacks_no_progress() -> None:
+    world = World((0, 0), (0, 5), (1.8, 0), avoids=True)
+    world.fleet.set_boxes({name: Box() for name in world.names})
+    send(world, "r0")
+    send(world, "r1")
+    world.run(1.0)
+    world.find("r1").take_over()
+
+    world.run(9.0)
+
+    assert [one.errors for one in world.fleet] == [[], [], []]
 
 
 def test_vehicle_stops_before_another_one() -> None:
