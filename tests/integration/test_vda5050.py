@@ -28,6 +28,7 @@ from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.messages.vehicle_messages import FleetStatus, VehicleStatus
 from zensim.proto.topic_catalog import VEHICLES
 from zensim.spawner.client.topic_reader import read_topic
+from zensim.vda5050.broker_links import BrokerLinks, parse_broker
 
 NUMBERS = count()
 
@@ -310,3 +311,25 @@ def test_manager_of_the_tutorial_moves_every_robot(
 
     assert sorted(lines) == ["r1", "r2", "r3"]
     assert set(json.loads(file.read_text())) >= {"max_speed", "battery"}
+
+
+def test_line_says_that_the_broker_is_back(broker: Broker) -> None:
+    notes: list[str] = []
+    address = parse_broker(broker.url)
+    links = BrokerLinks(address, topic_root="uagv/v2/notes", version="2.1.0", note=notes.append)
+    links.add("r1")
+
+    def connects() -> bool:
+        links.poll(0.01)
+        return bool(links.take_connected())
+
+    with closing(links):
+        eventually(connects, WITHIN_S)
+        assert notes == []
+        broker.kill()
+        eventually(lambda: bool(links.poll(0.01) or notes), WITHIN_S)
+        broker.start()
+        eventually(connects, WITHIN_S)
+
+    assert len(notes) > 1
+    assert "connected again" in notes[-1]

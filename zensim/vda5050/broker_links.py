@@ -249,6 +249,8 @@ class BrokerLinks:
         if reason.is_failure:
             self._report(str(reason))
             return
+        if self._problem:
+            self._note(f"broker {self._address.host}:{self._address.port}: connected again")
         self._problem, link.is_up = "", True
         client.subscribe([(f"{link.prefix}/{topic}", 0) for topic in SUBSCRIBED])
         self._publish_connection(link, "ONLINE")
