@@ -265,11 +265,29 @@ def _place_light(light: Light, link: Origin) -> Light:
     )
 
 
-def find_poses(fleet: RenderedFleet, frame: RenderedFrame, entity: str) -> FloatArray:
-    """Find the poses (links, 7) of the links of an entity in the world."""
-    groups = zip(fleet.groups, frame.links, strict=True)
-    group, links = next(found for found in groups if entity in found[0].names)
-    return np.stack([poses[group.names.index(entity)] for poses in links])
+Instances = tuple[VisualTemplate, np.ndarray, tuple[FloatArray, ...]]
+"""Template, places of entities in its group, and poses (k, 7) of each link of the group."""
+
+
+def select_instances(
+    fleet: RenderedFleet, frame: RenderedFrame, names: Sequence[str]
+) -> list[Instances]:
+    """Select entities, by their templates."""
+    rows = np.array([fleet.rows[name] for name in names], dtype=np.intp)
+    found = []
+    for group, links in zip(fleet.groups, frame.links, strict=True):
+        places = np.flatnonzero(np.isin(group.rows, rows))
+        if len(places):
+            found.append((group.template, places, links))
+    return found
+
+
+def list_link_poses(fleet: RenderedFleet, frame: RenderedFrame, names: Sequence[str]) -> FloatArray:
+    """List the poses (n, 7) of all links of entities in the world."""
+    poses = [
+        pose[places] for _, places, links in select_instances(fleet, frame, names) for pose in links
+    ]
+    return np.concatenate([np.zeros((0, 7)), *poses])
 
 
 class View(msgspec.Struct, frozen=True, eq=False):

@@ -1,4 +1,4 @@
-"""Messages of the page's own scripts, such as the one that drives by keys and gamepad.
+"""Messages that the page's own scripts send, such as velocities by keys and gamepad.
 
 viser reports presses only; a held key, its end and a hidden tab are known to a script alone.
 """

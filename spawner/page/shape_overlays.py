@@ -8,11 +8,10 @@ import numpy as np
 import viser
 
 from zensim.proto.messages.model_messages import Link, Model, Shape
-from zensim.proto.se3 import FloatArray
 from zensim.spawner.page.fleet_nodes import ModelNodes
 from zensim.spawner.page.instance_updates import WXYZ_COLUMNS
 from zensim.spawner.page.model_visuals import TriangleMeshes, VisualTemplate, make_template
-from zensim.spawner.page.render_state import RenderedFleet, RenderedFrame
+from zensim.spawner.page.render_state import RenderedFleet, list_link_poses, select_instances
 from zensim.spawner.page.viewer_client import PageState
 
 AXIS_M: Final = 0.12
@@ -54,16 +53,6 @@ class FrameAxes:
         self._node, self._count = None, 0
 
 
-def list_link_poses(fleet: RenderedFleet, frame: RenderedFrame, names: Sequence[str]) -> FloatArray:
-    """List the poses (n, 7) of all links of entities in the world."""
-    poses = [
-        pose[places]
-        for _, places, links in _select_instances(fleet, frame, names)
-        for pose in links
-    ]
-    return np.concatenate([np.zeros((0, 7)), *poses])
-
-
 class CollisionShapes:
     """The collision shapes of entities, in translucent orange."""
 
@@ -77,7 +66,7 @@ class CollisionShapes:
         """Draw the collision shapes of these entities."""
         templates = self._find_templates(state.fleet)
         shown: set[VisualTemplate] = set()
-        for template, places, links in _select_instances(state.fleet, state.frame, names):
+        for template, places, links in select_instances(state.fleet, state.frame, names):
             shown.add(template)
             nodes = self._find_nodes(template, templates[template], len(places), state.fleet.meshes)
             nodes.show([pose[places] for pose in links])
@@ -133,19 +122,3 @@ def _colour(link: Link) -> tuple[Shape, ...]:
         msgspec.structs.replace(shape, rgba=COLLISION_RGBA, texture=None)
         for shape in link.collisions
     )
-
-
-Instances = tuple[VisualTemplate, np.ndarray, tuple[FloatArray, ...]]
-"""Template, places of entities in its group, and poses (k, 7) of each link of the group."""
-
-
-def _select_instances(
-    fleet: RenderedFleet, frame: RenderedFrame, names: Sequence[str]
-) -> list[Instances]:
-    rows = np.array([fleet.rows[name] for name in names], dtype=np.intp)
-    found = []
-    for group, links in zip(fleet.groups, frame.links, strict=True):
-        places = np.flatnonzero(np.isin(group.rows, rows))
-        if len(places):
-            found.append((group.template, places, links))
-    return found

@@ -23,8 +23,8 @@ from zensim.spawner.page.render_state import (
     SimulationStatus,
     View,
     choose_view,
-    find_poses,
     fit_camera,
+    list_link_poses,
 )
 from zensim.spawner.page.scene_lighting import FOV_RAD, START_CAMERA, Scenery
 from zensim.spawner.page.sensor_display import SensorDisplay
@@ -79,7 +79,7 @@ class PageState(msgspec.Struct, frozen=True, eq=False):
     def bounds_of(self, entity: str) -> Array:
         """Return the lowest and highest corner (2, 3) of an entity in the frame of its base."""
         bounds = self.find_bounds(self.fleet.templates[entity])
-        return bounds.find(lambda: find_poses(self.fleet, self.frame, entity))
+        return bounds.find(lambda: list_link_poses(self.fleet, self.frame, (entity,)))
 
     def find_middle(self, entity: str) -> Array:
         """Find the middle of the bounds of an entity in the world."""

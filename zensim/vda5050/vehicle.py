@@ -106,7 +106,7 @@ class Vehicle:
         needs_stop: The next node or stop is another one.
         needs_save: The record has changed.
         needs_factsheet: A factsheet was requested.
-        is_manual: Somebody has taken over the robot during an order.
+        is_manual: An operator commands the robot by `cmd_vel` during an order.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class Vehicle:
         self.record, self.needs_route, self.needs_state = record, True, True
 
     def take_over(self) -> None:
-        """Stand, as somebody drives the robot by hand, until `stopPause`."""
+        """Pause the order until `stopPause`, as an operator commands the robot by `cmd_vel`."""
         if not (self.progress.is_idle or self.is_manual):
             self.is_manual = True
             self._change(is_paused=True)

@@ -4,12 +4,8 @@ import msgspec
 
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.model_messages import Model, Shape
-from zensim.spawner.page.render_state import RenderedFleet, make_fleet, make_frame
-from zensim.spawner.page.shape_overlays import (
-    COLLISION_RGBA,
-    list_link_poses,
-    make_collision_templates,
-)
+from zensim.spawner.page.render_state import RenderedFleet, list_link_poses, make_fleet, make_frame
+from zensim.spawner.page.shape_overlays import COLLISION_RGBA, make_collision_templates
 
 
 def a_robot() -> Model:
