@@ -13,7 +13,8 @@ from zensim.proto.rigid_transforms import (
     rotate,
     transform_point,
 )
-from zensim.sim_server.description.model_geometry import find_start_positions, list_leaders
+from zensim.sim_server.description.mimic_joints import list_following_joints
+from zensim.sim_server.description.model_geometry import find_start_positions
 from zensim.sim_server.description.rest_pose import GRAVITY
 from zensim.sim_server.description.strict_parsing import quote
 
@@ -135,10 +136,8 @@ def _find_loads(model: Model) -> dict[str, float]:
         loads[joint.name] = _find_own_load(joint, poses[joint.child], own)
         x, y, z = (one + other for one, other in zip(above.moment, own.moment, strict=True))
         beyond[joint.parent] = _Weight(above.mass_kg + own.mass_kg, (x, y, z))
-    by_name = {joint.name: joint for joint in model.joints}
-    for joint in model.joints:
-        for leader, ratio in list_leaders(joint, by_name):
-            loads[leader] += ratio * loads[joint.name] if by_name[leader].mimic is None else 0.0
+    for follower, leader, ratio, _ in list_following_joints(model.joints):
+        loads[model.joints[leader].name] += ratio * loads[model.joints[follower].name]
     return loads
 
 

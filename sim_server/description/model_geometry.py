@@ -17,9 +17,10 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
+from zensim.sim_server.description.mimic_joints import list_following_joints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable
 
     import numpy as np
     import numpy.typing as npt
@@ -56,27 +57,10 @@ def find_start_positions(model: Model) -> dict[str, float]:
         one.joint: one.initial or 0.0 for one in model.command_interfaces if one.kind == "position"
     }
     found = {joint.name: initial.get(joint.name, 0.0) for joint in model.joints}
-    by_name = {joint.name: joint for joint in model.joints}
-    for joint in model.joints:
-        leaders = list(list_leaders(joint, by_name))
-        if leaders:
-            offset = sum(
-                ratio * mimic.offset
-                for follower, ratio in ((joint.name, 1.0), *leaders)
-                if (mimic := by_name[follower].mimic) is not None
-            )
-            leader, ratio = leaders[-1]
-            found[joint.name] = ratio * initial.get(leader, 0.0) + offset
+    for own, leader, ratio, offset in list_following_joints(model.joints):
+        start = initial.get(model.joints[leader].name, 0.0)
+        found[model.joints[own].name] = ratio * start + offset
     return found
-
-
-def list_leaders(joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[tuple[str, float]]:
-    """List what a joint mimics, and what that mimics, with the ratio of speeds to each."""
-    ratio = 1.0
-    while (mimic := joint.mimic) is not None and mimic.joint in by_name:
-        ratio *= mimic.multiplier
-        joint = by_name[mimic.joint]
-        yield joint.name, ratio
 
 
 def find_ground_clearance(

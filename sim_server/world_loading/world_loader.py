@@ -173,7 +173,7 @@ def make_layered_engine(
 ) -> Engine:
     """Create an engine with all its layers."""
     full = create_world_engine(config, options, period_steps=control_steps)
-    return TieredEngine(full, config, options.dynamics)
+    return TieredEngine(full, config, options.dynamics, control_steps)
 
 
 def make_world_factory(

@@ -204,3 +204,36 @@ def test_kinematic_robot_moves_its_joints_as_commanded(
     assert found.joint_velocities[2] == pytest.approx(speed, abs=1e-6)
     assert found.base[0, 0] > 0.04
     engine.close()
+
+
+@pytest.mark.parametrize("period", [1, 3])
+def test_kinematic_joint_has_the_speed_of_its_targets_between_commands(period: int) -> None:
+    config = EngineConfig(STEP_NS)
+    engine = TieredEngine(PyBulletEngine(config), config, "kinematic", period)
+    robot = engine.add(a_cart_with_a_mast(), on_ground())
+    speed = 0.2
+    for number in range(1, 6):
+        target = speed * number * period * STEP_NS * 1e-9
+        engine.command((robot,), np.array([1.0, 1.0, float(POSITION), target]))
+        for step in range(1, period + 1):
+            engine.step()
+            found = engine.read((robot,))
+            passed = (number - 1) * period + step
+            assert found.joint_velocities[2] == pytest.approx(speed)
+            assert found.joint_positions[2] == pytest.approx(speed * passed * STEP_NS * 1e-9)
+    engine.step()
+    assert engine.read((robot,)).joint_velocities[2] == pytest.approx(0.0, abs=1e-6)
+    engine.close()
+
+
+def test_kinematic_joint_that_was_set_reaches_its_old_target() -> None:
+    config = EngineConfig(STEP_NS)
+    engine = TieredEngine(PyBulletEngine(config), config, "kinematic", 3)
+    robot = engine.add(a_cart_with_a_mast(), on_ground())
+    engine.command((robot,), np.array([0.0, 0.0, float(POSITION), 1e-4]))
+    advance(engine, 24)
+    engine.set_state(robot, on_ground(), np.array([0.0, 0.0, 0.3]), np.zeros(3))
+    advance(engine, STEPS_S)
+
+    assert engine.read((robot,)).joint_positions[2] == pytest.approx(1e-4)
+    engine.close()

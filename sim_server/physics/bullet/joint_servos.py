@@ -14,9 +14,9 @@ import numpy as np
 
 from zensim.proto.messages.drive_messages import JointTargetKind
 from zensim.proto.messages.model_messages import Joint
+from zensim.sim_server.description.mimic_joints import list_following_joints
 from zensim.sim_server.physics.actuation import MAX_EFFORT, JointMotor
 from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
-from zensim.sim_server.physics.mimic_joints import list_following_joints
 
 POSITION_GAIN = 0.1
 """Share of the error of a position that a step corrects; Bullet's for its motors."""

@@ -106,9 +106,8 @@ class KinematicReplicas(EngineReplicas):
         """View what changes as arrays (..., copies, k)."""
         table, robots = self._table, self._kinematic
         changing = (table.place, table.yaw, table.half, table.tilt, table.twist)
-        pools = (robots.positions.numbers, robots.velocities, robots.targets.numbers)
         count = self._shape[0]
         return [
             column.reshape(*column.shape[:-1], count, column.shape[-1] // count)
-            for column in (*changing, *pools)
+            for column in (*changing, *robots.view_state())
         ]

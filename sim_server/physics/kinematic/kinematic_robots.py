@@ -21,11 +21,18 @@ from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 
 MIN_TURN_RAD = 1e-300
 """Replaces a zero rotation, for which an arc has no radius."""
+ROUNDING = 1.0 + 1e-9
+"""Enlarges a part of a way, so that the last part reaches the end in spite of rounding."""
 
 
 def ramp_towards(now: FloatArray, wanted: FloatArray, most: FloatArray | float) -> FloatArray:
     """Change values towards wanted ones, by at most `most`."""
     return np.minimum(np.maximum(wanted, now - most), now + most)
+
+
+def extend(numbers: FloatArray, count: int) -> FloatArray:
+    """Append zeros up to a count."""
+    return np.concatenate([numbers, np.zeros(count - len(numbers))])
 
 
 def multiply_columns(matrix: FloatArray, speeds: FloatArray) -> FloatArray:
@@ -197,7 +204,14 @@ class KinematicRobots:
         rows: Of those in the kinematic tier, vehicle by vehicle.
     """
 
-    def __init__(self, rows: TierBodyTable, dt_s: float) -> None:
+    def __init__(self, rows: TierBodyTable, dt_s: float, period_steps: int = 1) -> None:
+        """Make it without robots.
+
+        Args:
+            rows: All bodies.
+            dt_s: Of a step.
+            period_steps: Steps in which a joint reaches a new position: those between commands.
+        """
         self.rows: IntArray = np.zeros(0, np.intp)
         self._at: RowSelection = self.rows
         self._has_offset_discs = False
@@ -206,6 +220,11 @@ class KinematicRobots:
         self.targets = ArrayPool()
         self._table = rows
         self._dt_s = dt_s
+        self._period_steps = period_steps
+        self._aims: FloatArray = np.zeros(0)
+        """Positions that joints were commanded to, at the places of these targets; else nan."""
+        self._paces: FloatArray = np.zeros(0)
+        """Ways [rad, m] of a step to these positions."""
         self._groups: dict[PlanarVehicle, VehicleGroup] = {}
         self._vehicles: dict[int, PlanarVehicle] = {}
 
@@ -214,9 +233,9 @@ class KinematicRobots:
         table = self._table
         table.joint_start[row] = self.positions.allocate(vehicle.joint_count)
         table.target_start[row] = self.targets.allocate(vehicle.width)
-        if len(self.velocities) < len(self.positions.numbers):
-            more = len(self.positions.numbers) - len(self.velocities)
-            self.velocities = np.concatenate([self.velocities, np.zeros(more)])
+        self.velocities = extend(self.velocities, len(self.positions.numbers))
+        self._aims = extend(self._aims, len(self.targets.numbers))
+        self._paces = extend(self._paces, len(self.targets.numbers))
         self.set_joints(row, np.zeros(vehicle.joint_count), np.zeros(vehicle.joint_count))
         self.set_targets(row, np.zeros(vehicle.width))
         if (group := self._groups.get(vehicle)) is None:
@@ -233,12 +252,14 @@ class KinematicRobots:
 
     def tile(self, table: TierBodyTable, rows: IntArray, copies: int) -> "KinematicRobots":
         """Make the robots of a table tiled by these rows; see `TierBodyTable.tile`."""
-        own, found = self._table, KinematicRobots(table, self._dt_s)
+        own, found = self._table, KinematicRobots(table, self._dt_s, self._period_steps)
         joints = expand_ranges(own.joint_start[rows], own.joint_count[rows])[1]
         targets = expand_ranges(own.target_start[rows], own.width[rows])[1]
         found.positions.numbers = np.tile(self.positions.numbers[joints], copies)
         found.velocities = np.tile(self.velocities[joints], copies)
         found.targets.numbers = np.tile(self.targets.numbers[targets], copies)
+        found._aims = np.tile(self._aims[targets], copies)
+        found._paces = np.tile(self._paces[targets], copies)
         starts = np.arange(copies)[:, None] * len(rows)
         for vehicle, group in self._groups.items():
             members = np.flatnonzero(np.isin(rows, group.all_rows))
@@ -269,6 +290,14 @@ class KinematicRobots:
         """Set the joints of a robot."""
         self.positions.numbers[self._joints(row)] = positions
         self.velocities[self._joints(row)] = velocities
+        start = int(self._table.target_start[row])
+        self._aims[start : start + int(self._table.width[row])] = np.nan
+
+    def view_state(self) -> list[FloatArray]:
+        """View what changes in steps: numbers of joints, and of targets."""
+        found = [self.positions.numbers, self.velocities, self.targets.numbers]
+        is_paced = self._period_steps > 1 and any(one.moved for one in self._groups)
+        return [*found, self._aims, self._paces] if is_paced else found
 
     def targets_of(self, row: int) -> FloatArray:
         """View the targets (w,) of a robot."""
@@ -341,10 +370,12 @@ class KinematicRobots:
         joints = group.joints[:, [one.joint for one in moved]]
         places = [one.place for one in moved]
         kinds = self.targets.numbers[group.targets[:, places]]
-        numbers = self.targets.numbers[group.targets[:, [place + 1 for place in places]]]
-        now = positions[joints]
+        targets = group.targets[:, [place + 1 for place in places]]
+        numbers, now = self.targets.numbers[targets], positions[joints]
         most = np.array([one.velocity for one in moved]) * self._dt_s
-        found = np.where(kinds == JointTargetKind.POSITION, ramp_towards(now, numbers, most), now)
+        is_aimed = kinds == JointTargetKind.POSITION
+        pace = np.minimum(most, self._find_paces(targets, np.where(is_aimed, numbers, np.nan), now))
+        found = np.where(is_aimed, ramp_towards(now, numbers, pace), now)
         turned = now + np.clip(numbers * self._dt_s, -most, most)
         found = np.where(kinds == JointTargetKind.VELOCITY, turned, found)
         lower = np.minimum(now, [one.lower for one in moved])
@@ -352,6 +383,17 @@ class KinematicRobots:
         found = np.clip(found, lower, upper)
         self.velocities[joints] = (found - now) / self._dt_s
         positions[joints] = found
+
+    def _find_paces(self, places: IntArray, aims: FloatArray, now: FloatArray) -> FloatArray:
+        """Find ways (n, m) of a step; else joints would jump, then rest till the next command."""
+        if self._period_steps == 1:
+            return np.full(now.shape, np.inf)
+        is_new = self._aims[places] != aims
+        if is_new.any():
+            paces = np.abs(aims - now) / self._period_steps * ROUNDING
+            self._paces[places] = np.where(is_new, paces, self._paces[places])
+            self._aims[places] = aims
+        return self._paces[places]
 
     def _steer(self, group: VehicleGroup) -> None:
         """Advance the steering joints at their maximum speed."""

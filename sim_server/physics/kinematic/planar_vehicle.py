@@ -14,6 +14,7 @@ from zensim.proto.messages.drive_messages import DiffDrive, OmniDrive, SteeringD
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.proto.stl import read_corners
+from zensim.sim_server.description.mimic_joints import FollowingJoint, list_following_joints
 from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.description.motion_prediction import (
     find_drive_targets,
@@ -21,7 +22,6 @@ from zensim.sim_server.description.motion_prediction import (
 )
 from zensim.sim_server.physics.actuation import JointMotor, make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
-from zensim.sim_server.physics.mimic_joints import FollowingJoint, list_following_joints
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint
 
 if TYPE_CHECKING:

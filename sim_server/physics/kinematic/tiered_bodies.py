@@ -46,9 +46,16 @@ class TieredBodies:
         jointed: Rows of bodies with a fixed root and joints that move.
     """
 
-    def __init__(self, full: Engine, corners: MeshTriangles, dt_s: float, period_s: float) -> None:
+    def __init__(
+        self,
+        full: Engine,
+        corners: MeshTriangles,
+        dt_s: float,
+        period_s: float,
+        command_steps: int = 1,
+    ) -> None:
         self.rows = TierBodyTable()
-        self.kinematic = KinematicRobots(self.rows, dt_s)
+        self.kinematic = KinematicRobots(self.rows, dt_s, command_steps)
         self.surroundings = ProximityIndex(self.rows, self.kinematic, period_s)
         self.mappings = TierIndexMapCache(self.rows)
         self.models: dict[int, Model] = {}

@@ -45,7 +45,17 @@ MAX_VERIFIED_MODELS = 256
 class TieredEngine(EngineLayer):
     """Robots in the kinematic tier, all else in a full engine; `auto` robots switch."""
 
-    def __init__(self, full: Engine, config: EngineConfig, default: Dynamics) -> None:
+    def __init__(
+        self, full: Engine, config: EngineConfig, default: Dynamics, period_steps: int = 1
+    ) -> None:
+        """Make it without bodies.
+
+        Args:
+            full: Of the full tier.
+            config: Of the world.
+            default: Tier of robots that name none.
+            period_steps: Steps between two control steps.
+        """
         super().__init__(full)
         self._plans = PlanarPlanCache(config, default)
         gx, gy, gz = config.gravity
@@ -53,8 +63,9 @@ class TieredEngine(EngineLayer):
         dt_s = config.step_ns * 1e-9
         self._every = max(1, round(PROXIMITY_PERIOD_S / dt_s))
         self._steps_to_check = 0
-        self._bodies = TieredBodies(full, self._plans.corners, dt_s, self._every * dt_s)
-        self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
+        period_s = self._every * dt_s
+        self._bodies = TieredBodies(full, self._plans.corners, dt_s, period_s, period_steps)
+        self._switcher = TierSwitcher(self._bodies, period_s)
         self._verified: dict[int, Model] = {}
         self._stopped: dict[int, FloatArray] = {}
         """Displacement (2,) that obstacles shortened in the last step, by body."""
