@@ -31,9 +31,8 @@
   }
 
   const FIELDS = "input:not([type=checkbox], [type=radio], [type=range], [type=button])," +
-    "textarea, select, [role=dialog], [role=listbox]";
-  const MOVED_BY_ARROWS = "[role=slider], [role=tab], [role=menuitem], input[type=radio]," +
-    "input[type=range]";
+    "textarea, select, [role=dialog], [role=listbox], [role=menu]";
+  const MOVED_BY_ARROWS = "[role=slider], [role=tab], input[type=radio], input[type=range]";
 
   function isTaken(target, code) {  // whether the control that has the focus uses this key
     if (!(target instanceof HTMLElement)) return false;

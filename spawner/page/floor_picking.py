@@ -58,7 +58,8 @@ class FloorPicker:
         Args:
             purpose: Word that `cancel` is called with.
             on_point: Called with the point of the floor that is clicked.
-            on_cancel: Called if another purpose takes the click, or it is not on the floor.
+            on_cancel: Called if another purpose takes the click, it is not on the floor, or the
+                visitor gives up.
         """
         before = self._wanted
         self._wanted = (purpose, on_point, on_cancel)
@@ -77,6 +78,13 @@ class FloorPicker:
         """Stop waiting for a click for this purpose."""
         if self.purpose == purpose:
             self._stop()
+
+    def give_up(self) -> None:
+        """Stop waiting for a click, and inform its purpose."""
+        if self._wanted is not None:
+            on_cancel = self._wanted[2]
+            self._stop()
+            on_cancel()
 
     def _stop(self) -> None:
         self._scene.remove_click_callback(self._handle)

@@ -3,6 +3,8 @@
 (() => {
 "use strict";
 const REFRESH_MS = 120, SPARE_ROWS = 4;
+// As in page_tools.css.
+const NARROW = "(max-width: 640px)", BY_FINGER = `${NARROW}, (pointer: coarse)`;
 const CATEGORIES = ["Robots", "Objects", "World"];
 const STATUSES = {
   m: "moving", s: "standing", z: "asleep", n: "no agent", b: "blocked", t: "static",
@@ -167,7 +169,7 @@ function showList(place) {
   const count = place.querySelector(".zensim-count");
   const text = entities.length ? `${found} of ${entities.length}` : place.dataset.empty;
   if (count.textContent !== text) count.textContent = text;
-  const rowPx = matchMedia("(max-width: 640px)").matches ? 46 : 32;
+  const rowPx = matchMedia(BY_FINGER).matches ? 46 : 32;
   view.classList.toggle("is-short", selected.length > 0);
   room.style.height = `${items.length * rowPx}px`;
   const first = Math.max(0, Math.floor(view.scrollTop / rowPx) - SPARE_ROWS);
@@ -465,6 +467,7 @@ function refresh() {
     places(part).forEach((place) => { if (!place.firstChild) fill(place); });
   }
   places("head").forEach(showHead);
+  keepTab();
   centreAboveSheet();
   drawShadowsLast();
   addFarLevels();
@@ -480,7 +483,7 @@ let shifted = "";
 function centreAboveSheet() {
   const page = window.__viserMutable, camera = page && page.camera;
   if (!camera || !camera.setViewOffset) return;
-  const sheet = matchMedia("(max-width: 640px)").matches && document.querySelector(SHEET);
+  const sheet = matchMedia(NARROW).matches && document.querySelector(SHEET);
   const {clientWidth: width, clientHeight: height} = page.canvas;
   nameSheet(sheet);
   const shift = sheet ? Math.round(Math.min(sheet.offsetHeight, height / 2) / 2) : 0;
@@ -490,6 +493,25 @@ function centreAboveSheet() {
   if (shift) camera.setViewOffset(width, height, 0, shift, width, height);
   else camera.clearViewOffset();
   page.requestRender();
+}
+
+// viser makes the panel anew, with its first tab, when a phone is turned; it may not obey at once.
+const MOST_PRESSES = 10;
+let tabName = "", tabBar = null, presses = 0;
+
+function keepTab() {
+  const tabs = [...document.querySelectorAll("[data-dock-tab], .mantine-Tabs-tab")];
+  const bar = tabs.length ? tabs[0].parentElement : null, name = (one) => one.innerText.trim();
+  if (bar !== tabBar) [tabBar, presses] = [bar, MOST_PRESSES];
+  const shown = tabs.find((one) => one.ariaSelected === "true");
+  const former = presses && shown !== undefined && tabs.find((one) => name(one) === tabName);
+  if (former && former !== shown) {
+    presses -= 1;
+    for (const kind of ["pointerdown", "pointerup"]) {  // of a mouse, for which tabs can be dragged
+      former.dispatchEvent(new PointerEvent(kind, {bubbles: true, pointerId: 1, isPrimary: true}));
+    }
+    former.click();
+  } else if (shown) [tabName, presses] = [name(shown), 0];
 }
 
 function nameSheet(sheet) {
@@ -508,6 +530,11 @@ function nameSheet(sheet) {
 
 // Called by the server of the page: for what it waits for a click on the floor; empty = nothing.
 window.zensimPicks = (purpose) => document.body.classList.toggle("zensim-picks", purpose !== "");
+
+addEventListener("keydown", (event) => {
+  if (event.key !== "Escape" || !document.body.classList.contains("zensim-picks")) return;
+  send({type: "ZensimAct", act: "Give up"});
+});
 
 // viser takes a captured pointer for that of handles; browsers capture each touch by themselves.
 addEventListener("pointerdown", (event) => {

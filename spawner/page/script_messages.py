@@ -13,6 +13,8 @@ HeadOrder = Literal[
     "Play", "Pause", "Step", "Reset time and poses", "Reset poses", "Reset time", "Reset all"
 ]
 """What the buttons of the head order for all visitors."""
+OwnAct = Literal["Show all", "Give up"]
+"""What concerns the visitor alone; the latter ends the wait for a click on the floor."""
 
 
 class ZensimDrive(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
@@ -48,9 +50,9 @@ class ZensimModel(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fie
 
 
 class ZensimAct(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """A button of the page's own controls was pressed."""
+    """A button of the page's own controls was pressed, or Escape while a click is awaited."""
 
-    act: HeadOrder | Literal["Show all"]
+    act: HeadOrder | OwnAct
 
 
 ScriptMessage = ZensimAct | ZensimDrive | ZensimLeave | ZensimModel | ZensimSelect | ZensimTheme

@@ -299,8 +299,11 @@ class ViewerPage:
             client.receive(message)
 
     def _take_act(self, client: ViewerClient, message: ZensimAct) -> None:
+        visitor = client.client.client_id
         if message.act == "Show all":
-            self._events.put(ControlUsed(client.client.client_id, client.look_at_all))
+            self._events.put(ControlUsed(visitor, client.look_at_all))
+        elif message.act == "Give up":
+            self._events.put(ControlUsed(visitor, client.picker.give_up))
         elif self._driver is not None:  # else visitors may look only
             self._events.put(message.act)
 

@@ -101,6 +101,10 @@ class Tab:
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_mobile}
         self.call("Emulation.setDeviceMetricsOverride", **size)
 
+    def set_touch(self, *, is_on: bool) -> None:
+        """Choose whether a finger is the pointer."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=is_on)
+
     def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
         """Return the value of an expression; awaits a promise."""
         done = self.call(

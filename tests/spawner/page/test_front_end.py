@@ -182,10 +182,64 @@ def test_button_of_the_pad_is_held_as_its_key(page: Tab, name: str, code: str) -
     assert sent[-1] == [code, False]
 
 
+def test_targets_of_fingers_are_large_in_a_phone_of_either_way(page: Tab) -> None:
+    before = page.evaluate("[innerWidth, innerHeight]")
+    page.set_touch(is_on=True)
+    page.set_size(844, 390, is_mobile=True)
+    heights = page.until("""(() => {
+        const buttons = document.querySelectorAll("[data-zensim-part] button");
+        const found = [...buttons].map((one) => one.getBoundingClientRect().height);
+        return Math.min(...found.filter((one) => one)) >= 44 && found;
+    })()""")
+    page.set_touch(is_on=False)
+    page.set_size(*before, is_mobile=before[0] < 500)
+
+    assert len(heights) > 8
+
+
 def test_stop_of_the_pad_stops(page: Tab) -> None:
     press(page, "Stop")
 
     assert take_sent(page) == ["stop"]
+
+
+def test_escape_ends_the_wait_for_a_click_on_the_floor(page: Tab) -> None:
+    escape = "dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))"
+    page.evaluate(escape)
+    assert take_sent(page) == []
+
+    page.evaluate(f"zensimPicks('place'), {escape}, zensimPicks('')")
+
+    assert take_sent(page) == [{"type": "ZensimAct", "act": "Give up"}]
+
+
+def refresh(page: Tab) -> None:
+    """Wait until the script has looked at the page."""
+    parts = "document.querySelector('[data-zensim-part=list]')"
+    page.evaluate(f"{parts}.innerHTML = ''")
+    page.until(f"{parts}.firstChild")
+
+
+def test_a_panel_that_is_made_anew_shows_the_tab_of_before(page: Tab) -> None:
+    page.evaluate("""window.makeTabs = (kind, chosen) => {
+        document.querySelector(".tabs")?.remove();
+        const bar = document.createElement("div");
+        bar.className = "tabs";
+        for (const name of ["Entities", "See", "Drive"]) {
+          const one = Object.assign(document.createElement("button"), {textContent: name});
+          if (kind) one.className = kind; else one.dataset.dockTab = "";
+          one.ariaSelected = String(name === chosen);
+          one.addEventListener("click", () => { window.chosen = name; });
+          bar.append(one);
+        }
+        document.body.append(bar);
+    }; makeTabs("", "See")""")
+    refresh(page)
+    refresh(page)
+    page.evaluate("window.chosen = '', makeTabs('mantine-Tabs-tab', 'Entities')")
+
+    page.until("window.chosen === 'See'")
+    page.evaluate("document.querySelector('.tabs').remove()")
 
 
 MUTE = "(message) => console.log(`Tried to send ${message.type} but websocket is not connected!`)"
