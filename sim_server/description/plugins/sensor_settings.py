@@ -407,9 +407,16 @@ def read_camera(source: SensorSource) -> CameraSensor:
         min_depth_m=min_depth,
         max_depth_m=max_depth,
         noise=read_noise(source.tags, "camera/noise"),
-        stereo_baseline_m=source.plugin_value("hack_baseline", "hackBaseline", "baseline"),
+        stereo_baseline_m=_read_baseline(source),
         is_triggered=_read_triggered(source),
     )
+
+
+def _read_baseline(source: SensorSource) -> float:
+    """Read the distance [m] from the left camera of a stereo pair, which has none from itself."""
+    baseline = source.plugin_value("hack_baseline", "hackBaseline", "baseline")
+    is_left = source.kind == "multicamera" and "left" in source.name.rpartition("/")[2]
+    return 0.0 if is_left else baseline
 
 
 def _read_triggered(source: SensorSource) -> bool:

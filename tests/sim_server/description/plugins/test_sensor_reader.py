@@ -24,7 +24,7 @@ from tests.sim_server.description.robots import (
 )
 from zensim.proto.messages.drive_messages import RosBlock
 from zensim.proto.messages.model_messages import Frame, Origin, Parameter
-from zensim.proto.messages.sensor_messages import ContactSensor, ImuSensor, RaySensor
+from zensim.proto.messages.sensor_messages import CameraSensor, ContactSensor, ImuSensor, RaySensor
 from zensim.sim_server.description.plugins.sensor_reader import (
     MAX_PARAMETERS,
     MAX_SENSORS,
@@ -440,12 +440,15 @@ def test_stereo_camera_is_two_sensors() -> None:
         f"<height>48</height></image></camera>"
         for side, y in (("left", 0.1), ("right", -0.1))
     )
-    plugin = a_sensor_plugin("gazebo_ros_multicamera", "<camera_name>stereo</camera_name>")
+    tags = "<camera_name>stereo</camera_name><hackBaseline>0.2</hackBaseline>"
+    plugin = a_sensor_plugin("gazebo_ros_multicamera", tags)
 
     model = a_model_with(a_sensor("multicamera", cameras, plugin=plugin))
 
     assert [one.name for one in model.sensors] == ["s/left", "s/right"]
     assert [one.origin.position[1] for one in model.sensors] == [0.1, -0.1]
+    settings = [one.settings for one in model.sensors if isinstance(one.settings, CameraSensor)]
+    assert [one.stereo_baseline_m for one in settings] == [0.0, 0.2]
     assert [topics_of(one)["image_raw"] for one in model.sensors] == [
         "stereo/left/image_raw",
         "stereo/right/image_raw",
