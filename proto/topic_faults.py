@@ -1,5 +1,6 @@
 """Faults of topics: which messages are published instead of those that were measured."""
 
+import math
 import random
 import struct
 import zlib
@@ -10,21 +11,38 @@ import msgspec
 
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.fault_messages import TopicFault
-from zensim.proto.messages.standard_messages import NANOSECONDS, Imu, LaserScan, Range, Vector3
+from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
+    Imu,
+    LaserScan,
+    PointCloud,
+    PointCloud2,
+    Range,
+    Vector3,
+)
+from zensim.proto.rate_limiter import SLACK_NS
 
 _STAMP = struct.Struct("<iI")
 STAMP_AT = 4
 """Offset of the stamp in a CDR message that begins with a header."""
-CHANGED_TYPES = (LaserScan, Range, Imu)
+CHANGED_TYPES = (LaserScan, PointCloud, PointCloud2, Range, Imu)
 """Types whose numbers a noise or a bias changes."""
 
 
 class FaultedTopic:
     """One fault on one topic, with the messages that it keeps."""
 
-    def __init__(self, fault: TopicFault, key: str) -> None:
+    def __init__(self, fault: TopicFault, key: str, number: int = 0) -> None:
+        """Begin a fault.
+
+        Args:
+            fault: What happens.
+            key: Of the topic.
+            number: Of this one among equal faults of the topic, which draw other random numbers.
+        """
         self.fault = fault
-        self._key = key
+        what = f"{fault.kind} {fault.value} {fault.start_ns} {number}"
+        self._stream = f"{fault.seed} {zlib.crc32(key.encode())} {what}"
         self._kept: bytes | None = None
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._count = 0
@@ -47,7 +65,7 @@ class FaultedTopic:
     def _delay(self, payload: bytes, time_ns: int) -> list[bytes]:
         self._waiting.append((time_ns + round(self.fault.value * NANOSECONDS), payload))
         due = []
-        while self._waiting and self._waiting[0][0] <= time_ns:
+        while self._waiting and self._waiting[0][0] <= time_ns + SLACK_NS:
             due.append(self._waiting.popleft()[1])
         return due
 
@@ -67,8 +85,7 @@ class FaultedTopic:
         return encode(changed, Format.CDR)
 
     def _make_random(self, time_ns: int) -> random.Random:
-        key = zlib.crc32(self._key.encode())
-        return random.Random(f"{self.fault.seed} {key} {time_ns}")
+        return random.Random(f"{self._stream} {time_ns}")
 
 
 def _change_message(
@@ -77,19 +94,18 @@ def _change_message(
     def change(value: float) -> float:
         if fault.kind == "sensor_bias":
             return value + fault.value
-        return value + numbers.gauss(0.0, fault.value)
+        return value + numbers.gauss(0.0, fault.value) if fault.kind == "sensor_noise" else value
 
     def change_vector(vector: Vector3) -> Vector3:
         return Vector3(change(vector.x), change(vector.y), change(vector.z))
 
     if isinstance(message, LaserScan):
-        ranges = tuple(
-            float("inf") if _is_blind(message, ray, fault) else _change_range(change, value, fault)
-            for ray, value in enumerate(message.ranges)
-        )
-        return msgspec.structs.replace(message, ranges=ranges)
-    if fault.kind == "sensor_sector":
-        return message
+        return _change_scan(message, fault, change)
+    if isinstance(message, PointCloud | PointCloud2):
+        # Its import takes a while, and few processes have faults.
+        from zensim.proto.cloud_faults import change_points  # noqa: PLC0415
+
+        return change_points(message, fault, change)
     if isinstance(message, Range):
         return msgspec.structs.replace(message, range=change(message.range))
     if isinstance(message, Imu):
@@ -101,13 +117,15 @@ def _change_message(
     return message
 
 
-def _change_range(change: Callable[[float], float], value: float, fault: TopicFault) -> float:
-    return value if fault.kind == "sensor_sector" else change(value)
-
-
-def _is_blind(scan: LaserScan, ray: int, fault: TopicFault) -> bool:
-    angle = scan.angle_min + ray * scan.angle_increment
-    return fault.kind == "sensor_sector" and fault.low <= angle <= fault.high
+def _change_scan(scan: LaserScan, fault: TopicFault, change: Callable[[float], float]) -> LaserScan:
+    if fault.kind != "sensor_sector":
+        return msgspec.structs.replace(scan, ranges=tuple(map(change, scan.ranges)))
+    angles = (scan.angle_min + ray * scan.angle_increment for ray in range(len(scan.ranges)))
+    ranges = (
+        math.inf if fault.has_angle(angle) else value
+        for angle, value in zip(angles, scan.ranges, strict=True)
+    )
+    return msgspec.structs.replace(scan, ranges=tuple(ranges))
 
 
 class TopicFaults:
@@ -128,12 +146,14 @@ class TopicFaults:
         if faults == self._faults:
             return
         self._faults = faults
-        former = {(one.fault, key): one for key, listed in self._topics.items() for one in listed}
-        self._topics = {}
+        former, self._topics = self._topics, {}
         for fault in faults:
             for key in fault.keys:
-                one = former.get((fault, key)) or FaultedTopic(fault, key)
-                self._topics.setdefault(key, []).append(one)
+                listed = self._topics.setdefault(key, [])
+                number = sum(one.fault == fault for one in listed)
+                same = [one for one in former.get(key, ()) if one.fault == fault]
+                kept = same[number] if number < len(same) else FaultedTopic(fault, key, number)
+                listed.append(kept)
 
     def affects(self, key: str) -> bool:
         """Whether messages of a topic may change."""

@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from zensim.proto.messages.model_messages import JointController
-from zensim.proto.messages.standard_messages import NANOSECONDS, Header, time_from_ns
+from zensim.proto.messages.standard_messages import Header, time_from_ns
 from zensim.proto.network_protocols import Query
+from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.ros2.action_messages import (
     CancelCode,
     CancelGoalRequest,
@@ -32,8 +33,8 @@ from zensim.robot_agent.joint_trajectory import (
 )
 
 LOG = logging.getLogger("zensim.agent")
-FEEDBACK_PERIOD_NS = NANOSECONDS // 20
-"""Simulation time between two feedbacks, as in ros2_controllers."""
+FEEDBACK_HZ = 20.0
+"""Rate of feedback in simulation time, as in ros2_controllers."""
 ReadJoints = Callable[[Sequence[str]], JointsState]
 """Reads positions and velocities of joints, by name, at the present state."""
 SetPositions = Callable[[Sequence[str], Sequence[float]], None]
@@ -46,14 +47,14 @@ class _ActiveGoal:
 
     Attributes:
         start: Where the joints were when it came.
-        feedback_ns: Simulation time of the next feedback.
+        feedback: Whether feedback is due.
     """
 
     goal: ActionGoal
     trajectory: Trajectory
     start: Waypoint
     turns: tuple[bool, ...]
-    feedback_ns: int
+    feedback: RateLimiter
 
 
 @dataclass(frozen=True)
@@ -133,15 +134,14 @@ class TrajectoryFollower:
         self._goals.accept(goal)
         turns = tuple(name in self._turning for name in trajectory.joints)
         start = Waypoint(time_ns, read(trajectory.joints))
-        self._active = _ActiveGoal(goal, trajectory, start, turns, time_ns)
+        self._active = _ActiveGoal(goal, trajectory, start, turns, RateLimiter(FEEDBACK_HZ))
 
     def _follow(
         self, active: _ActiveGoal, time_ns: int, read: ReadJoints, move: SetPositions
     ) -> None:
         trajectory, tolerances = active.trajectory, active.trajectory.tolerances
         progress = _measure(active, time_ns, read(trajectory.joints))
-        if time_ns >= active.feedback_ns:
-            active.feedback_ns = time_ns + FEEDBACK_PERIOD_NS
+        if active.feedback.is_due(time_ns):
             self._goals.publish_feedback(lambda: _make_feedback(active, progress))
         late_ns = time_ns - trajectory.end_ns
         if late_ns < 0:

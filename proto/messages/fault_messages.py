@@ -1,5 +1,6 @@
 """Injected faults: parts of bodies that fail, and topics of sensors that fail."""
 
+import math
 from typing import ClassVar, Literal
 
 import msgspec
@@ -42,7 +43,7 @@ class InjectFaultRequest(msgspec.Struct, frozen=True):
     low: float = 0.0
     """First angle of `sensor_sector` [rad]."""
     high: float = 0.0
-    """Last angle of `sensor_sector` [rad]."""
+    """Last angle of `sensor_sector` [rad], counter-clockwise from the first."""
     duration: Duration = FOR_EVER
     """Simulation time; negative = until a reset."""
     seed: UInt64 = 0
@@ -73,3 +74,8 @@ class TopicFault(msgspec.Struct, frozen=True):
     start_ns: UInt64 = 0
     """Simulation time; of two faults that follow each other, the times differ."""
     seed: UInt64 = 0
+
+    def has_angle(self, angle: float) -> bool:
+        """Whether an angle [rad] is in its sector, counter-clockwise from `low` to `high`."""
+        is_whole = self.high - self.low >= math.tau
+        return is_whole or (angle - self.low) % math.tau <= (self.high - self.low) % math.tau

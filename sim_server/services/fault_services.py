@@ -4,6 +4,7 @@ import math
 from typing import cast, get_args
 
 from zensim.proto import keys
+from zensim.proto import topic_catalog as topics
 from zensim.proto.messages.fault_messages import (
     BodyFaultKind,
     InjectFaultRequest,
@@ -23,6 +24,14 @@ from zensim.sim_server.world.simulated_world import SimulatedWorld
 BODY_KINDS: tuple[BodyFaultKind, ...] = get_args(BodyFaultKind)
 TOPIC_KINDS: tuple[TopicFaultKind, ...] = get_args(TopicFaultKind)
 MAX_FAULT_NUMBER = 1e6
+RAY_TOPICS = (topics.SCAN, topics.POINTS, topics.POINT_CLOUD)
+NUMBER_TOPICS = (*RAY_TOPICS, topics.RANGE, topics.IMU)
+CHANGED_TOPICS = {
+    "sensor_noise": ("a lidar, a range finder or an imu", NUMBER_TOPICS),
+    "sensor_bias": ("a lidar, a range finder or an imu", NUMBER_TOPICS),
+    "sensor_sector": ("a lidar", RAY_TOPICS),
+}
+"""Sensors whose numbers a kind of fault changes, and their topics; the other kinds act on all."""
 
 
 def inject_fault(world: SimulatedWorld, request: InjectFaultRequest) -> InjectFaultResponse:
@@ -100,6 +109,13 @@ def _make_topic_fault(
         raise RequestRefused(
             ResultCode.NOT_FOUND,
             f"'{entity.name}' has no sensor {request.part[:80]!r}; sensors: {known}",
+        )
+    of_what, changed = CHANGED_TOPICS.get(request.kind, ("", ()))
+    if changed and not {one.topic for one in found.topics} & {one.name for one in changed}:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"{request.kind} has no effect on sensor {found.name!r} of '{entity.name}'; it is for "
+            f"{of_what}",
         )
     fault = TopicFault(
         tuple(keys.robot(entity.namespace or entity.name, one.name) for one in found.topics),

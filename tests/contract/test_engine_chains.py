@@ -256,3 +256,27 @@ def test_chains_repeat_their_bits(make: MakeEngine) -> None:
             return states.base.tobytes() + states.joint_positions.tobytes()
 
     assert run() == run()
+
+
+def a_hinged_bar(height_m: float) -> Model:
+    """Make a bar of 0.5 m with flat sides, on a free hinge about y above the ground."""
+    bar = Shape("box", (0.4, 0.05, 0.05), Origin((0.3, 0.0, 0.0)))
+    inertial = Inertial(2.0, (0.25, 0.0, 0.0), (0.002, 0.0, 0.0, 0.042, 0.0, 0.042))
+    hinge = Joint(
+        *("hinge", "continuous", "base", "bar"), Origin((0.0, 0.0, height_m)), axis=(0.0, 1.0, 0.0)
+    )
+    links = (Link("base", a_body()), Link("bar", inertial, (bar,)))
+    return Model("hinged", links, (hinge,), is_static=True)
+
+
+@pytest.mark.parametrize("height_m", [0.15, 0.23, 0.25, 0.28])
+def test_hinged_bar_rests_with_its_edge_on_the_ground(engine: Engine, height_m: float) -> None:
+    bar = engine.add(a_hinged_bar(height_m), a_state((0.0, 0.0, 0.0)))
+
+    advance(engine, 4 * STEPS_S)
+
+    found = engine.read((bar,))
+    angle = float(found.joint_positions[0])
+    tip_m = height_m - 0.5 * math.sin(angle) - 0.025 * math.cos(angle)
+    assert tip_m == pytest.approx(0.0, abs=4e-4)
+    assert found.joint_velocities[0] == pytest.approx(0.0, abs=1e-2)

@@ -1,12 +1,22 @@
 """Faults of topics: what is published in place of each message."""
 
 import math
+import struct
 
 import pytest
 
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.fault_messages import TopicFault, TopicFaultKind
-from zensim.proto.messages.standard_messages import Header, Imu, LaserScan, Range, Time
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Imu,
+    LaserScan,
+    Point32,
+    PointCloud,
+    PointCloud2,
+    Range,
+    Time,
+)
 from zensim.proto.topic_faults import TopicFaults
 
 KEY = "r/scan"
@@ -106,6 +116,94 @@ def test_rays_of_a_sector_hit_nothing() -> None:
     (scan,) = publish("sensor_sector", 1, low=-0.6, high=0.1)
 
     assert scan.ranges == (1.0, math.inf, math.inf, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "blind"),
+    [
+        (5.7, 7.2, (False, True, True, True, False)),
+        (-0.6 - math.tau, 0.1 - math.tau, (False, True, True, False, False)),
+        (0.4, -0.4, (True, True, False, True, True)),
+        (1.0, 8.0, (True, True, True, True, True)),
+    ],
+)
+def test_sector_is_that_of_the_same_angles_of_another_turn(
+    low: float, high: float, blind: tuple[bool, ...]
+) -> None:
+    (scan,) = publish("sensor_sector", 1, low=low, high=high)
+
+    assert tuple(one == math.inf for one in scan.ranges) == blind
+
+
+def test_equal_faults_of_a_time_draw_numbers_of_their_own() -> None:
+    faults, fault = TopicFaults(), TopicFault((KEY,), "sensor_noise", 0.1)
+    lossy = TopicFault((KEY,), "sensor_intermittent", 0.5)
+    errors = []
+    for number in range(800):
+        faults.update((fault, fault, lossy), number * PERIOD_NS)
+        payload = encode(scan_at(number, 1.0), Format.CDR)
+        for one in faults.change(KEY, LaserScan, payload):
+            errors += [value - 1.0 for value in decode(LaserScan, one, Format.CDR.value).ranges[:2]]
+
+    assert len(errors) == pytest.approx(800, abs=80)
+    assert sum(errors) / len(errors) == pytest.approx(0.0, abs=0.02)
+    spread = math.sqrt(sum(one * one for one in errors) / len(errors))
+    assert spread == pytest.approx(0.1 * math.sqrt(2.0), abs=0.01)
+
+
+def test_delay_of_a_period_is_one_though_steps_are_rounded_down() -> None:
+    faults, found = TopicFaults(), []
+    for number in range(4):
+        faults.update((TopicFault((KEY,), "sensor_delay", 0.1),), number * 99_999_996)
+        found.append(len(faults.change(KEY, LaserScan, b"abc")))
+
+    assert found == [0, 1, 1, 1]
+
+
+def points_of(cloud: PointCloud | PointCloud2) -> list[tuple[float, ...]]:
+    if isinstance(cloud, PointCloud):
+        return [(one.x, one.y, one.z) for one in cloud.points]
+    step = cloud.point_step
+    return [struct.unpack_from("<fff", cloud.data, step * i) for i in range(cloud.width)]
+
+
+def a_cloud(kind: str) -> PointCloud | PointCloud2:
+    """Two points, ahead and to the left; an organized cloud has a third without a hit."""
+    places = [(2.0, 0.0, 0.0), (0.0, 4.0, 0.0)]
+    if kind == "old":
+        return PointCloud(points=tuple(Point32(*one) for one in places))
+    if kind == "organized":
+        places.append((-math.inf, math.nan, math.nan))
+    data = b"".join(struct.pack("<ffff", *one, 7.0) for one in places)
+    return PointCloud2(
+        height=1, width=len(places), point_step=16, data=data, is_dense=kind == "dense"
+    )
+
+
+@pytest.mark.parametrize("kind", ["dense", "organized", "old"])
+def test_ranges_of_points_change(kind: str) -> None:
+    cloud = a_cloud(kind)
+    faults = TopicFaults()
+    faults.update((TopicFault((KEY,), "sensor_bias", 0.5),), 0)
+
+    (changed,) = faults.change(KEY, type(cloud), encode(cloud, Format.CDR))
+
+    found = points_of(decode(type(cloud), changed, Format.CDR.value))
+    assert found[:2] == [(2.5, 0.0, 0.0), (0.0, 4.5, 0.0)]
+    assert len(found) == (3 if kind == "organized" else 2)
+
+
+@pytest.mark.parametrize("kind", ["dense", "organized", "old"])
+def test_points_of_a_sector_are_no_hits(kind: str) -> None:
+    cloud = a_cloud(kind)
+    faults = TopicFaults()
+    faults.update((TopicFault((KEY,), "sensor_sector", low=-0.5, high=0.5),), 0)
+
+    (changed,) = faults.change(KEY, type(cloud), encode(cloud, Format.CDR))
+
+    found = points_of(decode(type(cloud), changed, Format.CDR.value))
+    assert [one for one in found if math.isfinite(one[0])] == [(0.0, 4.0, 0.0)]
+    assert len(found) == (3 if kind == "organized" else 1)
 
 
 def test_noise_and_bias_act_on_imu_and_range() -> None:

@@ -41,6 +41,8 @@ Answer = TypeVar("Answer", bound=msgspec.Struct)
 FIRST, SECOND = (GoalId(tuple(range(start, start + 16))) for start in (1, 101))
 JOINTS = ("a", "b")
 STEP_NS = NANOSECONDS // 100
+SLOW_STEP_NS = NANOSECONDS // 50
+"""Steps of which 20 Hz is no whole number."""
 
 
 class ArmFixture:
@@ -77,9 +79,9 @@ class ArmFixture:
     def result(self, goal_id: GoalId) -> MemoryCall:
         return self.request(2, GetTrajectoryResultRequest(goal_id))
 
-    def run(self, duration_s: float = 0.0) -> None:
-        for _ in range(max(1, round(duration_s * 100))):
-            self.time_ns += STEP_NS
+    def run(self, duration_s: float = 0.0, step_ns: int = STEP_NS) -> None:
+        for _ in range(max(1, round(duration_s * NANOSECONDS / step_ns))):
+            self.time_ns += step_ns
             self.follower.update(self.time_ns, self._read, self._move)
             if not self.is_stuck:
                 self.positions = dict(self.wanted)
@@ -142,6 +144,15 @@ def test_feedback_has_desired_actual_and_error_at_20_hz() -> None:
         [one - other for one, other in zip(wanted, found, strict=True)]
     )
     assert wanted[0] == pytest.approx(0.225, abs=0.006)
+
+
+def test_feedback_is_at_20_hz_on_average_if_steps_do_not_fit() -> None:
+    arm = ArmFixture()
+    arm.send(FIRST, a_point(4, 0.5, -0.5))
+
+    arm.run(3.0, SLOW_STEP_NS)
+
+    assert len(arm.feedback.payloads) == pytest.approx(60, abs=1)
 
 
 def test_refused_goal_leaves_the_one_before() -> None:

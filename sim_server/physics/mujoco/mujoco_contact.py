@@ -63,8 +63,9 @@ LIFT_TOLERANCE_MPS = 3e-4
 """Difference of lift that does not need another solve."""
 MIN_LIFT_CHANGE_MPS = 1e-9
 """Change between two solves from which their feedback is computed."""
-MAX_FEEDBACK = 0.9
-"""Limits the steps of the secant method."""
+MIN_FEEDBACK, MAX_FEEDBACK = -10.0, 0.9
+"""Limits the steps of the secant method. Feedback is negative where a slip pulls a link down, as it
+does a hinged one that leans on its edge: without it, two lifts would alternate for ever."""
 
 ContactInts = npt.NDArray[np.int32]
 
@@ -512,7 +513,7 @@ class LiftIteration:
         change = self._lifts - self._last[0]
         is_known = np.abs(change) > MIN_LIFT_CHANGE_MPS
         growth = (found - self._last[1]) / np.where(is_known, change, 1.0)
-        return np.where(is_known, np.clip(growth, 0.0, MAX_FEEDBACK), 0.0)
+        return np.where(is_known, np.clip(growth, MIN_FEEDBACK, MAX_FEEDBACK), 0.0)
 
 
 def read_contact_points(contacts: MjPlacedContacts, row_forces: FloatArray) -> FloatArray:

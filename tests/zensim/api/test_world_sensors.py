@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.models import POLE_TOPICS, SENSOR_POLE
-from zensim import Robot, Sim, World, launch
+from zensim import Error, Robot, Sim, World, launch
 from zensim.api.simulation import Simulation
+from zensim.proto.messages.fault_messages import TopicFaultKind
 from zensim.proto.messages.standard_messages import LaserScan, Odometry
 
 STEPS = 150
@@ -85,6 +86,22 @@ def test_camera_of_a_world_in_process_takes_pictures() -> None:
         picture = camera.newest()
         assert len(picture.data) == picture.height * picture.step
         assert len(set(bytes(picture.data))) > 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor"), [("sensor_noise", "gps"), ("sensor_bias", "bump"), ("sensor_sector", "imu")]
+)
+def test_fault_that_changes_nothing_of_a_sensor_is_refused(
+    kind: TopicFaultKind, sensor: str, tmp_path: Path
+) -> None:
+    model = tmp_path / "pole.urdf"
+    model.write_text(SENSOR_POLE)
+    with World() as world:
+        world.spawn(model, name="r1")
+
+        with pytest.raises(Error, match=kind):
+            world.inject("r1", kind, sensor, value=0.5, low=-1.0, high=1.0)
+        world.inject("r1", "sensor_off", sensor)
 
 
 def test_subscription_before_the_robot_exists_gets_its_scans() -> None:
