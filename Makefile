@@ -74,7 +74,7 @@ PYTEST := $(BIN)/python .ci/run_tests.py -n $(WORKERS) --dist loadfile --no-load
 # Without the tests that other targets run.
 HERE := not release and not short_form and not long_form and not interop and not images
 
-test: setup packages ## all tests but those of `make browser` and `make short`
+test: setup packages ## all tests but those of `make browser`, `make release` and `make short`
 	@if [ "$$(id -u)" = 0 ]; then $(PYTEST) -m "not browser and $(HERE)"; \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
@@ -89,7 +89,7 @@ browser: setup packages ## tests of the page in Chromium
 smoke: setup packages ## of `make browser`, what CI runs for each push
 	$(PYTEST) -m "browser and smoke and $(HERE)"
 
-release: setup packages ## tests of the tools and documents of the project; CI runs them nightly
+release: setup packages ## tests of tools, documents and whole programs; CI runs them nightly
 	$(PYTEST) -m "release and not root and not browser and not short_form and not long_form and not interop and not images"
 
 long: setup packages ## further cases of tests of `make test` and `make browser`, and long ones; as root

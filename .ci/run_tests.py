@@ -33,7 +33,6 @@ SHARE_VARIABLE = "FILE_CPU_SHARE"
 unset: none does. A slower processor takes longer for all files, so the share is the same."""
 LONG_FILES = {
     "tests/contract/test_one_loop.py": "each scenario runs twice, here and on a server",
-    "tests/deploy/test_sweep_commands.py": "sweeps of processes, killed in each part",
     "tests/integration/test_ros_robots.py": "a server for each release of ROS and of the bridge",
     "tests/zensim/api/test_failures.py": "servers of their own, which are killed or cut off",
 }

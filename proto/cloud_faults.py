@@ -10,7 +10,6 @@ from zensim.proto.messages.fault_messages import TopicFault
 from zensim.proto.messages.standard_messages import Point32, PointCloud, PointCloud2
 
 FloatArray = npt.NDArray[np.float64]
-COORDINATE = np.dtype("<f4")
 
 
 def change_points(
@@ -29,21 +28,17 @@ def change_points(
         points = tuple(Point32(*point) for point in found[kept].tolist())
         return msgspec.structs.replace(cloud, points=points)
     rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step).copy()
-    strides = (cloud.point_step, COORDINATE.itemsize)
-    places = np.ndarray((len(rows), 3), COORDINATE, rows, strides=strides)
+    places = np.ndarray((len(rows), 3), "<f4", rows, strides=(cloud.point_step, 4))
     found = places.astype(np.float64)
     kept = _change(found, fault, change)
-    if cloud.is_dense:  # it has no place for points without a hit
-        data = np.ascontiguousarray(rows[kept])
-        places = np.ndarray((len(data), 3), COORDINATE, data, strides=strides)
-        places[:] = found[kept]
-        return msgspec.structs.replace(
-            cloud, width=len(data), row_step=data.nbytes, data=data.tobytes()
-        )
-    with np.errstate(invalid="ignore"):  # along an axis
-        found[~kept] *= np.inf
+    if not cloud.is_dense:  # else it has no place for points without a hit
+        with np.errstate(invalid="ignore"):  # along an axis
+            found[~kept] *= np.inf
     places[:] = found
-    return msgspec.structs.replace(cloud, data=rows.tobytes())
+    data = (rows[kept] if cloud.is_dense else rows).tobytes()
+    row_step = len(data) // max(1, cloud.height)
+    width = row_step // cloud.point_step
+    return msgspec.structs.replace(cloud, width=width, row_step=row_step, data=data)
 
 
 def _change(

@@ -36,7 +36,7 @@ LONG = (
     *("tests/chaos/test_chaos.py", "tests/hostile/test_server_fuzz.py"),
 )
 """Files with the longest tests of `make browser` and `make short`: they come first."""
-WORKSHOP = (
+TOOLS = (
     *("tests/mutation/", "tests/chaos/test_history.py", "tests/benchmarks/"),
     *("tests/hostile/test_coverage_fuzz.py", "tests/deploy/sweep/test_ray_runs.py"),
     "tests/zensim/envs/test_ray_sampling.py",
@@ -45,7 +45,25 @@ WORKSHOP = (
     *("tests/contract/test_platforms.py", "tests/contract/test_run_tests.py"),
     "tests/integration/test_tasks.py",
 )
-"""Files of `make release`: they test the tools of the project, or start a cluster of Ray."""
+"""Files that test the tools of the project, or start a cluster of Ray."""
+WHOLE_PROGRAMS = (
+    *(
+        f"tests/integration/test_{name}.py"
+        for name in (
+            *("check", "compose_commands", "doctor", "failed_engine", "foxglove", "joint_efforts"),
+            *("learning_example", "leaving_clients", "page_random_use", "parser_failures"),
+            *("recorded_files", "restore_state", "ros_domains", "teleop", "top"),
+            *("up_endings", "up_others", "up_scenario", "vda5050_vehicles"),
+        )
+    ),
+    *("tests/deploy/test_fleet_demo.py", "tests/deploy/test_scenario_process.py"),
+    *("tests/deploy/test_sweep_commands.py", "tests/zensim/test_testing.py"),
+    *(f"tests/zensim/api/test_{name}.py" for name in ("notebook", "program_keeper", "scripts")),
+)
+"""Files that run whole programs for minutes, a quarter of all tests; on each push there are tests
+of the parts of each, and others that run programs."""
+NIGHTLY = (*TOOLS, *WHOLE_PROGRAMS)
+"""Files of `make release`, none of which has tests of the page in Chromium, or as root."""
 WRITTEN_MARKS = frozenset(
     {"root", "browser", "short_form", "long_form", "interop", "images", "smoke"}
 )
@@ -69,16 +87,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def is_left_out_for_release(path: Path, expression: str) -> bool:
     """Whether `-m` selects by the mark `release`, and leaves a file out."""
     terms = [] if "(" in expression or " or " in expression else expression.split(" and ")
-    is_of_workshop = is_workshop(path)
+    is_of_release = is_nightly(path)
     is_test = path.name.startswith("test_")
-    return (is_of_workshop and "not release" in terms) or (
-        is_test and not is_of_workshop and "release" in terms
+    return (is_of_release and "not release" in terms) or (
+        is_test and not is_of_release and "release" in terms
     )
 
 
-def is_workshop(path: Path) -> bool:
+def is_nightly(path: Path) -> bool:
     """Whether a file is among those of `make release`."""
-    return path.is_relative_to(ROOT) and path.relative_to(ROOT).as_posix().startswith(WORKSHOP)
+    return path.is_relative_to(ROOT) and path.relative_to(ROOT).as_posix().startswith(NIGHTLY)
 
 
 def find_required_marks(expression: str) -> list[str]:
@@ -90,7 +108,7 @@ def find_required_marks(expression: str) -> list[str]:
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the tests of the files of `make release`."""
-    if is_workshop(item.path):
+    if is_nightly(item.path):
         item.add_marker("release")
 
 

@@ -26,9 +26,9 @@ TOPIC_KINDS: tuple[TopicFaultKind, ...] = get_args(TopicFaultKind)
 MAX_FAULT_NUMBER = 1e6
 RAY_TOPICS = (topics.SCAN, topics.POINTS, topics.POINT_CLOUD)
 NUMBER_TOPICS = (*RAY_TOPICS, topics.RANGE, topics.IMU)
+OF_NUMBERS = "a lidar, a range finder or an imu", NUMBER_TOPICS
 CHANGED_TOPICS = {
-    "sensor_noise": ("a lidar, a range finder or an imu", NUMBER_TOPICS),
-    "sensor_bias": ("a lidar, a range finder or an imu", NUMBER_TOPICS),
+    **dict.fromkeys(("sensor_noise", "sensor_bias"), OF_NUMBERS),
     "sensor_sector": ("a lidar", RAY_TOPICS),
 }
 """Sensors whose numbers a kind of fault changes, and their topics; the other kinds act on all."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import WORKSHOP, WRITTEN_MARKS, find_required_marks, pytest_ignore_collect
+from tests.conftest import NIGHTLY, WRITTEN_MARKS, find_required_marks, pytest_ignore_collect
 from tests.contract.repository import ROOT
 
 
@@ -15,8 +15,15 @@ def test_marks_of_the_project_are_those_that_files_write() -> None:
     assert set(re.findall(r'"(\w+): ', rest.partition("\n]")[0])) == {*WRITTEN_MARKS, "release"}
 
 
-def test_files_of_the_workshop_exist() -> None:
-    assert [path for path in WORKSHOP if not (ROOT / path).exists()] == []
+def test_files_of_the_night_exist() -> None:
+    assert [path for path in NIGHTLY if not (ROOT / path).exists()] == []
+
+
+def test_files_of_the_night_have_no_tests_that_it_leaves_out() -> None:
+    paths = [ROOT / path for path in NIGHTLY]
+    files = [one for path in paths for one in (path.rglob("*.py") if path.is_dir() else [path])]
+
+    assert [one for one in files if re.search(r"mark\.(root|browser)\b", one.read_text())] == []
 
 
 def test_only_files_of_tests_write_marks() -> None:

@@ -47,12 +47,7 @@ class TieredBodies:
     """
 
     def __init__(
-        self,
-        full: Engine,
-        corners: MeshTriangles,
-        dt_s: float,
-        period_s: float,
-        command_steps: int = 1,
+        self, full: Engine, corners: MeshTriangles, dt_s: float, period_s: float, command_steps: int
     ) -> None:
         self.rows = TierBodyTable()
         self.kinematic = KinematicRobots(self.rows, dt_s, command_steps)
