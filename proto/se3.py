@@ -82,12 +82,6 @@ def from_origin(origin: Origin) -> FloatArray:
     return np.array([*origin.position, *origin.orientation])
 
 
-def to_origin(pose: FloatArray) -> Origin:
-    """Make a fixed origin of one pose (7,)."""
-    x, y, z, qx, qy, qz, qw = pose.tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
-
-
 def from_axis_angle(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:
     """Make rotations about unit axes (..., 3) by angles (...)."""
     x, y, z = np.moveaxis(axis, -1, 0)

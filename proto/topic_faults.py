@@ -33,13 +33,7 @@ class FaultedTopic:
     """One fault on one topic, with the messages that it keeps."""
 
     def __init__(self, fault: TopicFault, key: str, number: int = 0) -> None:
-        """Begin a fault.
-
-        Args:
-            fault: What happens.
-            key: Of the topic.
-            number: Of this one among equal faults of the topic, which draw other random numbers.
-        """
+        """Begin the fault with this number of equal ones; each draws other random numbers."""
         self.fault = fault
         what = f"{fault.kind} {fault.value} {fault.start_ns} {number}"
         self._stream = f"{fault.seed} {zlib.crc32(key.encode())} {what}"

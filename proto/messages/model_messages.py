@@ -200,7 +200,7 @@ class CommandInterface(msgspec.Struct, frozen=True, gc=False):
     """[rad/s, rad or N m; m/s, m or N for sliding joints]; None = unbounded."""
     upper: float | None = None
     initial: float | None = None
-    """Position at spawn, to which its controller moves it; None = 0."""
+    """Position at the start, where its controller holds it; None = 0."""
 
 
 class PositionTolerance(msgspec.Struct, frozen=True, gc=False):

@@ -5,16 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from zensim.proto.messages.model_messages import Inertial, Origin, ReportEntry
-from zensim.proto.rigid_transforms import (
-    compose,
-    cross,
-    from_axis_angle,
-    normalize,
-    rotate,
-    transform_point,
-)
+from zensim.proto.rigid_transforms import cross, normalize, rotate, transform_point
 from zensim.sim_server.description.mimic_joints import list_following_joints
-from zensim.sim_server.description.model_geometry import find_start_positions
+from zensim.sim_server.description.model_geometry import find_link_poses, find_start_positions
 from zensim.sim_server.description.rest_pose import GRAVITY
 from zensim.sim_server.description.strict_parsing import quote
 
@@ -125,10 +118,7 @@ class _Weight(NamedTuple):
 def _find_loads(model: Model) -> dict[str, float]:
     """Find the effort of gravity on each joint, followers' included."""
     positions = find_start_positions(model)
-    poses = {model.links[0].name: Origin()}
-    for joint in model.joints:
-        moved = compose(joint.origin, _move(joint, positions[joint.name]))
-        poses[joint.child] = compose(poses[joint.parent], moved)
+    poses = find_link_poses(model.links[0].name, model.joints, positions)
     beyond = {link.name: _weigh(link, poses[link.name]) for link in model.links}
     loads: dict[str, float] = {}
     for joint in reversed(model.joints):
@@ -139,14 +129,6 @@ def _find_loads(model: Model) -> dict[str, float]:
     for follower, leader, ratio, _ in list_following_joints(model.joints):
         loads[model.joints[leader].name] += ratio * loads[model.joints[follower].name]
     return loads
-
-
-def _move(joint: Joint, position: float) -> Origin:
-    axis = normalize(joint.axis)
-    if joint.kind == "prismatic":
-        x, y, z = (position * along for along in axis)
-        return Origin((x, y, z))
-    return Origin(orientation=from_axis_angle(axis, position))
 
 
 def _weigh(link: Link, pose: Origin) -> _Weight:

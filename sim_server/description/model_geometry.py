@@ -16,11 +16,18 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
+from zensim.proto.rigid_transforms import (
+    compose,
+    conjugate,
+    from_axis_angle,
+    from_rpy,
+    normalize,
+    rotate,
+)
 from zensim.sim_server.description.mimic_joints import list_following_joints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     import numpy as np
     import numpy.typing as npt
@@ -30,6 +37,7 @@ FindCorners: TypeAlias = "Callable[[str], npt.NDArray[np.floating]]"
 """Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
 _NO_CORNERS: dict[str, npt.NDArray[np.floating]] = {}
 NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
+NO_POSITIONS: Mapping[str, float] = {}
 FALL = ReportEntry("predicted", "driving", "it falls: it has no collisions")
 """Report entry of a model that falls without end."""
 UNLIMITED_RAD = 20.0 * math.pi
@@ -43,16 +51,35 @@ def make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
     return Origin(position, from_rpy(*rpy))
 
 
-def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
-    """Find the pose of each link in the root link, joints at zero; `joints` in tree order."""
+def find_link_poses(
+    root: str, joints: tuple[Joint, ...], positions: Mapping[str, float] = NO_POSITIONS
+) -> dict[str, Origin]:
+    """Find the pose of each link in the root link.
+
+    Args:
+        root: Name of the root link.
+        joints: In tree order.
+        positions: Of joints [rad or m], by name; zero for others.
+    """
     poses = {root: Origin()}
     for joint in joints:
-        poses[joint.child] = compose(poses[joint.parent], joint.origin)
+        child = find_child_pose(joint, positions.get(joint.name, 0.0))
+        poses[joint.child] = compose(poses[joint.parent], child)
     return poses
 
 
+def find_child_pose(joint: Joint, position: float) -> Origin:
+    """Find the pose of a joint's child in its parent at a position [rad or m]."""
+    if not position or joint.kind == "fixed":
+        return joint.origin
+    x, y, z = axis = normalize(joint.axis)
+    if joint.kind == "prismatic":
+        return compose(joint.origin, Origin((x * position, y * position, z * position)))
+    return compose(joint.origin, Origin(orientation=from_axis_angle(axis, position)))
+
+
 def find_start_positions(model: Model) -> dict[str, float]:
-    """Find the position of each joint at which its controller holds it from the start."""
+    """Find the position of each joint at the start [rad or m], at which a controller holds it."""
     initial = {
         one.joint: one.initial or 0.0 for one in model.command_interfaces if one.kind == "position"
     }
@@ -66,7 +93,7 @@ def find_start_positions(model: Model) -> dict[str, float]:
 def find_ground_clearance(
     model: Model, turn: Quat = IDENTITY, corners: FindCorners = NO_MESHES
 ) -> float:
-    """Find the height [m] of the lowest collision point relative to the root link, joints at zero.
+    """Find the height [m] of the lowest collision point relative to the root link at the start.
 
     The robot stands on the ground when its root is spawned at minus this height. Planes are left
     out; 0 without other collisions.
@@ -76,7 +103,7 @@ def find_ground_clearance(
         turn: Orientation of the root link in the world.
         corners: Needed for meshes.
     """
-    poses = find_link_poses(model.links[0].name, model.joints)
+    poses = find_link_poses(model.links[0].name, model.joints, find_start_positions(model))
     root = _TiltedFrame(0.0, rotate(conjugate(turn), (0.0, 0.0, 1.0)))
     frames = [(link, root.inner(poses[link.name])) for link in model.links]
     return min(

@@ -9,13 +9,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zensim.proto.forward_kinematics import compute_joint_poses
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState, OnRelease
 from zensim.proto.messages.entity_messages import EntityInfo
-from zensim.proto.messages.model_messages import Joint, Link, Model, Origin
+from zensim.proto.messages.model_messages import Joint, Link, Model
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
-from zensim.proto.se3 import to_origin
+from zensim.sim_server.description.model_geometry import find_child_pose, find_start_positions
 from zensim.sim_server.description.world_model import WorldModel
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.actuation import make_stop_targets
@@ -138,7 +137,7 @@ class DivergenceGuard:
 
     def last_valid_state(self, entity: Entity) -> RestState:
         """Find the last valid state of an entity, at rest; its initial state if there is none."""
-        base, positions = entity.initial, np.zeros(len(entity.model.joints))
+        base, positions = entity.initial, list_start_positions(entity.model)
         if (found := self._last(entity.name)) is not None:
             base, positions, _ = found
         row = base.copy()
@@ -222,12 +221,8 @@ def make_bare_model(model: Model) -> Model:
 
 def _fix_joint(joint: Joint, position: float) -> Joint:
     return msgspec.structs.replace(
-        joint, kind="fixed", origin=_find_moved_origin(joint, position), mimic=None
+        joint, kind="fixed", origin=find_child_pose(joint, position), mimic=None
     )
-
-
-def _find_moved_origin(joint: Joint, position: float) -> Origin:
-    return to_origin(compute_joint_poses(joint, np.array([position]))[0])
 
 
 MAX_STATE_AGE_NS = 25_000_000
@@ -239,6 +234,12 @@ class SavedWorld:
 
     def __init__(self, attributes: Mapping[str, Any]) -> None:
         self.__dict__.update(attributes)
+
+
+def list_start_positions(model: Model) -> FloatArray:
+    """List the positions [rad or m] of joints at the start, in the order of `Model.joints`."""
+    found = find_start_positions(model)
+    return np.array([found[joint.name] for joint in model.joints])
 
 
 class SimulatedWorld:
@@ -369,9 +370,12 @@ class SimulatedWorld:
         return entity
 
     def _add_body(self, model: Model, base: FloatArray) -> int:
-        """Add a body; raises EngineRefused, whatever the engine raises."""
+        """Add a body, joints as at the start; raises EngineRefused, whatever the engine raises."""
         with refuse_faults(f"model '{model.name}'"):
-            return self.engine.add(self._body_models.find(model), base)
+            body = self.engine.add(self._body_models.find(model), base)
+            if (start := list_start_positions(model)).any():
+                self.engine.set_at_rest(body, base, start)
+            return body
 
     @contextmanager
     def _rollback_on_refusal(self, entity: Entity) -> Iterator[None]:
@@ -686,7 +690,8 @@ class SimulatedWorld:
             self.states()  # recovers what has diverged
             for entity in self.entities:
                 self._try_unfreeze(entity)
-                self.engine.set_at_rest(self.entities.find(entity.name).body, entity.initial)
+                body, start = self.entities.find(entity.name).body, entity.initial
+                self.engine.set_at_rest(body, start, list_start_positions(entity.model))
             self.divergence_guard.forget_all()
         if bits & ResetScope.TIME:
             self.clock.steps = 0

@@ -205,13 +205,7 @@ class KinematicRobots:
     """
 
     def __init__(self, rows: TierBodyTable, dt_s: float, period_steps: int = 1) -> None:
-        """Make it without robots.
-
-        Args:
-            rows: All bodies.
-            dt_s: Of a step.
-            period_steps: Steps in which a joint reaches a new position: those between commands.
-        """
+        """Make it without robots; joints reach new positions in `period_steps`."""
         self.rows: IntArray = np.zeros(0, np.intp)
         self._at: RowSelection = self.rows
         self._has_offset_discs = False

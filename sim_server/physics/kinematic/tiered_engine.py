@@ -48,14 +48,7 @@ class TieredEngine(EngineLayer):
     def __init__(
         self, full: Engine, config: EngineConfig, default: Dynamics, period_steps: int = 1
     ) -> None:
-        """Make it without bodies.
-
-        Args:
-            full: Of the full tier.
-            config: Of the world.
-            default: Tier of robots that name none.
-            period_steps: Steps between two control steps.
-        """
+        """Make it without bodies; `period_steps` are those between two control steps."""
         super().__init__(full)
         self._plans = PlanarPlanCache(config, default)
         gx, gy, gz = config.gravity
