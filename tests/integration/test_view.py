@@ -231,21 +231,20 @@ def test_tabs_keep_their_places_when_another_is_shown(shown: Shown) -> None:
     shown.tab.turn_to("Entities")
 
 
-LINKS = """
-[...document.querySelectorAll(".zensim-fold")].find((one) => one.innerText === "Links and sensors")
-"""
+FOLD = "[...document.querySelectorAll('.zensim-fold')].find((one) => one.innerText === '%s')"
+LINKS = FOLD % "Links and sensors"
 
 
 @pytest.mark.browser
 def test_an_opened_folder_stays_open_with_the_next_selection(shown: Shown) -> None:
-    shown.tab.until(f"{SELECT % ('box_bot1', 'Stop following')} && !!{LINKS.strip()}")
-    shown.tab.evaluate(f"(window.opened = {LINKS.strip()}).click()")
+    shown.tab.until(f"{SELECT % ('box_bot1', 'Stop following')} && !!{LINKS}")
+    shown.tab.evaluate(f"(window.opened = {LINKS}).click()")
 
-    shown.tab.until(SELECT % ("box_bot2", "Stop following"))
+    shown.tab.until(f"{SELECT % ('box_bot2', 'Stop following')} && !!{FOLD % 'box_bot2'}")
 
-    shown.tab.until(f"{LINKS.strip()} !== window.opened")
-    shown.tab.until(f"{LINKS.strip()}.getAttribute('aria-expanded') === 'true'")
-    shown.tab.evaluate(f"{LINKS.strip()}.click()")
+    shown.tab.until(f"{LINKS} !== window.opened")
+    shown.tab.until(f"{LINKS}.getAttribute('aria-expanded') === 'true'")
+    shown.tab.evaluate(f"{LINKS}.click()")
 
 
 @pytest.mark.browser
