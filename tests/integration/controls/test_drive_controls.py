@@ -247,11 +247,18 @@ def stop_all(page: Page, act: Callable[[], None]) -> None:
         eventually(is_sent, WITHIN_S, "a stop")
 
 
+def is_free(robot: str, texts: str) -> bool:
+    """Whether no other visitor drives, or keeps, the selected robot."""
+    text = f"{robot}: driven by"
+    return text in texts and f"{text} another visitor" not in texts
+
+
 def take_over(page: Page, act: Callable[[], None]) -> None:
     with PageUser(page.url) as other:
         other.wait_for_row("r1")
         other.send("ZensimSelect", entity="r1")
-        eventually(lambda: "r1: driven by" in other.texts(), WITHIN_S, "its selection")
+        # A visitor keeps its robot for seconds, and a key that is pressed then has no effect.
+        eventually(lambda: is_free("r1", other.texts()), WITHIN_S, "a robot that nobody keeps")
         page.select("r1")
         with page.commands("r1") as commands, holding_forward(other):
             eventually(is_moving(commands, lambda one: one.linear.x > 0.0), WITHIN_S, "driving")
