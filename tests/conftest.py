@@ -63,7 +63,7 @@ WHOLE_PROGRAMS = (
 """Files that run whole programs for minutes, a quarter of all tests; on each push there are tests
 of the parts of each, and others that run programs."""
 NIGHTLY = (*TOOLS, *WHOLE_PROGRAMS)
-"""Files of `make release`, none of which has tests of the page in Chromium, or as root."""
+"""Files of `make release`; tests that need Chromium or root must not be in them."""
 WRITTEN_MARKS = frozenset(
     {"root", "browser", "short_form", "long_form", "interop", "images", "smoke"}
 )

@@ -42,7 +42,7 @@ FIRST, SECOND = (GoalId(tuple(range(start, start + 16))) for start in (1, 101))
 JOINTS = ("a", "b")
 STEP_NS = NANOSECONDS // 100
 SLOW_STEP_NS = NANOSECONDS // 50
-"""Steps of which 20 Hz is no whole number."""
+"""Step length that does not divide the period of the feedback."""
 
 
 class ArmFixture:

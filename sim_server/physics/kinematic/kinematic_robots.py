@@ -31,8 +31,9 @@ def ramp_towards(now: FloatArray, wanted: FloatArray, most: FloatArray | float) 
 
 
 def extend(numbers: FloatArray, count: int) -> FloatArray:
-    """Append zeros up to a count."""
-    return np.concatenate([numbers, np.zeros(count - len(numbers))])
+    """Append zeros up to a count; the array itself if it has as many."""
+    missing = count - len(numbers)
+    return np.concatenate([numbers, np.zeros(missing)]) if missing else numbers
 
 
 def multiply_columns(matrix: FloatArray, speeds: FloatArray) -> FloatArray:

@@ -64,8 +64,8 @@ LIFT_TOLERANCE_MPS = 3e-4
 MIN_LIFT_CHANGE_MPS = 1e-9
 """Change between two solves from which their feedback is computed."""
 MIN_FEEDBACK, MAX_FEEDBACK = -10.0, 0.9
-"""Limits the steps of the secant method. Feedback is negative where a slip pulls a link down, as it
-does a hinged one that leans on its edge: without it, two lifts would alternate for ever."""
+"""Limits of the slope of the secant method. It is negative for a hinged link that leans on its
+edge: limited to 0, the iteration would alternate between two lifts."""
 
 ContactInts = npt.NDArray[np.int32]
 

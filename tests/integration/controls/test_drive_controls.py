@@ -258,7 +258,7 @@ def take_over(page: Page, act: Callable[[], None]) -> None:
         other.wait_for_row("r1")
         other.send("ZensimSelect", entity="r1")
         # A visitor keeps its robot for seconds, and a key that is pressed then has no effect.
-        eventually(lambda: is_free("r1", other.texts()), WITHIN_S, "a robot that nobody keeps")
+        eventually(lambda: is_free("r1", other.texts()), WITHIN_S, "a free robot")
         page.select("r1")
         with page.commands("r1") as commands, holding_forward(other):
             eventually(is_moving(commands, lambda one: one.linear.x > 0.0), WITHIN_S, "driving")
