@@ -13,13 +13,7 @@ from zensim.deploy.other_commands import OtherCommands
 from zensim.deploy.up_driver import UpDriver
 from zensim.proto.bus.bus_config import BusConfig
 from zensim.proto.bus.bus_session import Bus, open_bus
-from zensim.scenario.robot_behaviours import (
-    FleetState,
-    FloatArray,
-    Motion,
-    PathMotion,
-    RandomWalkMotion,
-)
+from zensim.scenario.robot_behaviours import FleetState, Motion, PathMotion, RandomWalkMotion
 from zensim.scenario.scenario_format import FollowWaypoints, RandomWalk
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
@@ -46,7 +40,7 @@ class FleetDemo(UpDriver):
         self._sim = Sim(self._access)
         self._fleet = self._sim.fleet(self._names)
         self._is_ours = np.ones(len(self._names), dtype=bool)
-        self._sent: FloatArray | None = None
+        self._sent: np.ndarray | None = None
         self._epoch = self._sim.epoch
 
     @property

@@ -1,11 +1,6 @@
 """Which joints of a model are in joint states, and which have a frame of their own in tf."""
 
-from typing import Final
-
-from zensim.proto.messages.model_messages import Model
-
-MOVABLE_KINDS: Final = frozenset({"revolute", "continuous", "prismatic"})
-"""Kinds of joints with one position; others are handled as fixed."""
+from zensim.proto.messages.model_messages import MOVABLE_KINDS, Model
 
 
 def list_published_joints(model: Model) -> tuple[int, ...]:

@@ -5,7 +5,13 @@ from collections.abc import Sequence
 import msgspec
 
 from zensim.proto.messages.drive_messages import DiffDrive, Drive
-from zensim.proto.messages.model_messages import Joint, JointStatePublisher, Model, Origin
+from zensim.proto.messages.model_messages import (
+    MOVABLE_KINDS,
+    Joint,
+    JointStatePublisher,
+    Model,
+    Origin,
+)
 from zensim.proto.messages.standard_messages import (
     Header,
     Quaternion,
@@ -23,7 +29,7 @@ from zensim.proto.rigid_transforms import (
     normalize,
     rotate,
 )
-from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
+from zensim.proto.tf_joints import list_hidden_joints
 from zensim.proto.topic_catalog import JOINT_STATES
 from zensim.robot_agent.odometry import BaseMotion
 

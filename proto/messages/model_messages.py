@@ -28,6 +28,9 @@ either, chosen by the server. Empty = default of the world.
 TierName = Literal["full", "kinematic"]
 """How an entity moves now."""
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
+MOVABLE_KINDS = ("revolute", "continuous", "prismatic")
+"""Kinds of joints that move about, or along, one axis."""
+TURNING_KINDS, LIMITED_KINDS = ("revolute", "continuous"), ("revolute", "prismatic")
 CommandKind = Literal["velocity", "position", "effort"]
 DEFAULT_STOPPED_VELOCITY = 0.01
 """Velocity below which a joint counts as stopped at the end of a trajectory [rad/s or m/s]."""

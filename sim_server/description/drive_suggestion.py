@@ -12,6 +12,7 @@ import numpy as np
 
 from zensim.proto.drive_orders import format_drive_order
 from zensim.proto.messages.drive_messages import PAIR_SIZE, DriveOrder
+from zensim.proto.messages.model_messages import TURNING_KINDS
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.ground_friction import GroundFriction
 from zensim.sim_server.description.model_geometry import find_link_poses
@@ -30,7 +31,6 @@ from zensim.sim_server.description.plugins.wheel_guess import (
     list_drives,
     lower_suspensions,
 )
-from zensim.sim_server.description.plugins.wheel_measures import WHEEL_JOINT_KINDS
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
@@ -167,7 +167,7 @@ def _stands_on_joints(order: DriveOrder, lumped: LumpedModel) -> bool:
         above = by_child.get(by_name[name].parent)
         while above is not None:
             axis = rotate(poses[above.child].orientation, above.axis)
-            if above.kind in WHEEL_JOINT_KINDS and abs(axis[2]) < UPRIGHT_AXIS_Z:
+            if above.kind in TURNING_KINDS and abs(axis[2]) < UPRIGHT_AXIS_Z:
                 return True
             above = by_child.get(above.parent)
     return False

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from zensim.proto.messages.model_messages import ZERO
-from zensim.proto.se3 import wrap_angle
+from zensim.proto.messages.model_messages import TURNING_KINDS, ZERO
+from zensim.proto.se3 import FloatArray, wrap_angle
 from zensim.sim_server.description.coulomb_motion import (
     CoulombMotion,
     SlipTerms,
@@ -35,10 +34,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.description.model_geometry import FindCorners
 
-FloatArray = npt.NDArray[np.float64]
 
-TURNING_KINDS = ("continuous", "revolute")
-"""Kinds of joints that a velocity actuator turns."""
 MAX_FRICTION = 20.0
 """Descriptions have 1e5 for 'does not slip'; such a number would drown the torque of motors."""
 MIN_TRAIL_M = 1e-3

@@ -13,6 +13,7 @@ import msgspec
 
 from zensim.proto.messages.model_messages import (
     IDENTITY,
+    MOVABLE_KINDS,
     ZERO,
     Decay,
     Frame,
@@ -37,7 +38,6 @@ MAX_JOINTS = 120
 """Joints after lumping: PyBullet reads the states of at most 127 joints of a body."""
 Moments = tuple[float, float, float, float, float, float]
 """Moments of inertia (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]."""
-MIMIC_KINDS = ("revolute", "continuous", "prismatic")
 
 
 def check_mimics(joints: Iterable[Joint], report: ParseReport) -> tuple[Joint, ...]:
@@ -71,9 +71,9 @@ def _find_mimic_fault(joint: Joint, by_name: Mapping[str, Joint]) -> str:
             return f"joint {quote(name)} would mimic itself"
         seen.add(name)
         leader = by_name[name]
-        if leader.kind not in MIMIC_KINDS:
+        if leader.kind not in MOVABLE_KINDS:
             return f"joint {quote(name)} is {leader.kind}"
-    if joint.kind not in MIMIC_KINDS:
+    if joint.kind not in MOVABLE_KINDS:
         return f"a {joint.kind} joint cannot mimic"
     if joint.mimic is not None and joint.mimic.multiplier == 0.0:
         return "its multiplier is 0"

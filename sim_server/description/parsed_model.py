@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
+from zensim.proto.messages.model_messages import LIMITED_KINDS, Inertial, Joint, Link, Shape, Vec3
 from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.errors import ModelError
 
@@ -206,7 +206,7 @@ def check_moving_parts(links: Iterable[Link], joints: Iterable[Joint], report: P
     for joint in joints:
         if joint.kind != "fixed" and weights[joint.child] == 0.0:
             report.suspicious(f"link {joint.child!r}", "on a moving joint but massless")
-        if joint.kind in ("revolute", "prismatic") and joint.lower > joint.upper:
+        if joint.kind in LIMITED_KINDS and joint.lower > joint.upper:
             report.suspicious(
                 f"joint {joint.name!r}", f"lower {joint.lower:g} is above upper {joint.upper:g}"
             )

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.se3 import from_origin, to_matrix
+from zensim.proto.messages.model_messages import MOVABLE_KINDS
+from zensim.proto.se3 import FloatArray, from_origin, to_matrix
 from zensim.sim_server.description.model_geometry import NO_MESHES, turns_freely
 from zensim.sim_server.description.wheel_contacts import align_friction_to_axle, links_in_contact
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Joint, Model, Shape
     from zensim.sim_server.description.model_geometry import FindCorners
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -50,7 +50,6 @@ LEVEL_AXIS_Z = 0.5
 """Axes with a lesser z count as level."""
 UPRIGHT_AXIS_Z = 0.9
 """Axes with a greater z count as upright."""
-MOVABLE_KINDS = ("revolute", "continuous", "prismatic")
 MIN_LOAD_SHARE = 1e-6
 """Share of the weight; contacts with less are not in contact."""
 PointOfShape = tuple[FloatArray, float, float]

@@ -4,11 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray, IntArray
 
-IntArray = npt.NDArray[np.intp]
 MAX_CACHED_INDEXES = 256
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.messages.model_messages import Joint, Link, Model, Shape
+from zensim.proto.messages.model_messages import TURNING_KINDS, Joint, Link, Model, Shape
 from zensim.proto.se3 import from_origin
 from zensim.sim_server.description.model_geometry import NO_MESHES, FindCorners
 from zensim.sim_server.scene.convex_shapes import to_convex_shape
@@ -17,7 +17,6 @@ The rotor of a geared motor adds its moment times the gear ratio squared: as muc
 it, the speed of a light wheel changes so easily that the solver's friction is off its direction.
 With more, a wheel that stops at once tilts the robot (ADR 44).
 """
-TURNING_KINDS = ("continuous", "revolute")
 
 
 class DrivenWheel(NamedTuple):

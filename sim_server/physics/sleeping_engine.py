@@ -6,18 +6,14 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Decay, Inertial, Model
 from zensim.sim_server.physics.actuation import Actuation, make_actuation
 from zensim.sim_server.physics.body_reach import MAX_REACH_M, ReachCache
 from zensim.sim_server.physics.command_cache import CommandCache
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, BoolArray, Engine, FloatArray, IntArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_layer import EngineLayer
-
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 SLEEP_DELAY_S = 1.0
 """Time within the thresholds before a body sleeps."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from zensim.proto.messages import entity_messages, gazebo_messages
 from zensim.proto.messages.gazebo_messages import JointType
-from zensim.proto.messages.model_messages import Inertial, Joint, Link
+from zensim.proto.messages.model_messages import LIMITED_KINDS, Inertial, Joint, Link
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.simulation_messages import (
     ResetScope,
@@ -161,7 +161,6 @@ JOINT_TYPES = {
     "prismatic": JointType.PRISMATIC,
     "fixed": JointType.FIXED,
 }
-LIMITED_JOINTS = ("revolute", "prismatic")
 ODE_FIELDS = ("erp", "cfm", "stop_erp", "stop_cfm", "fudge_factor", "vel")
 """Settings of the ODE solver, which no engine here uses."""
 MAX_PROPERTY = 1e6
@@ -177,7 +176,7 @@ def get_joint_properties(
         return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
     states = world.states()
     index = world.entities.index.joints_of(target.entity.name).start + target.number
-    is_limited = joint.kind in LIMITED_JOINTS
+    is_limited = joint.kind in LIMITED_KINDS
     return gazebo_messages.GetJointPropertiesReport(
         type=JOINT_TYPES[joint.kind],
         damping=(joint.damping,),
@@ -281,7 +280,7 @@ def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointProperti
 
 
 def _check_limits(joint: Joint, name: str, lower: float | None, upper: float | None) -> None:
-    if joint.kind not in LIMITED_JOINTS:
+    if joint.kind not in LIMITED_KINDS:
         raise RequestRefused(
             ResultCode.FEATURE_UNSUPPORTED,
             f"joint {name!r} is {joint.kind} and has no limits; make it revolute in its model",

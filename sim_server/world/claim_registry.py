@@ -10,9 +10,9 @@ import numpy as np
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState, OnRelease
 from zensim.proto.messages.result_messages import ClaimCode
 from zensim.sim_server.errors import RequestRefused
-from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine import BodyStates, FloatArray, IntArray
 from zensim.sim_server.scene.broad_phase import expand_ranges
-from zensim.sim_server.world.entity import Entity, EntityIndex, IntArray
+from zensim.sim_server.world.entity import Entity, EntityIndex
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from zensim.proto.codec.cdr_reader import MalformedPayload
 from zensim.proto.messages.agent_messages import TwistCommands
-from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.world.entity import EntityIndex, IntArray
+from zensim.sim_server.physics.engine import FloatArray, IntArray
+from zensim.sim_server.world.entity import EntityIndex
 
 COLUMNS = 3
 """Forward, left [m/s], turn [rad/s]."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.proto.messages.entity_messages import (
     MAX_DESCRIPTION_LENGTH,
@@ -17,7 +16,7 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray, IntArray
 
 
 class InfoRefused(SimError):
@@ -48,9 +47,6 @@ def check_entity_info(info: EntityInfo) -> EntityInfo:
             f"use at most {MAX_TAGS} of 1 to {MAX_TAG_LENGTH} characters"
         )
     return EntityInfo(info.category, info.description, tags)
-
-
-IntArray = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

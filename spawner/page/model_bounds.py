@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from zensim.proto.messages.model_messages import MOVABLE_KINDS
 from zensim.proto.se3 import FloatArray, compose, from_origin, invert, transform_points
 from zensim.spawner.page.model_visuals import (
     Array,
@@ -14,8 +15,6 @@ from zensim.spawner.page.model_visuals import (
     VisualTemplate,
     find_link_poses,
 )
-
-MOVING_KINDS = frozenset({"revolute", "prismatic", "continuous"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ def make_bounds(template: VisualTemplate, parts: Sequence[Sequence[ColouredMesh]
         for own in link
     ]
     at_rest = _find_span(np.concatenate(placed))
-    moving = sum(joint.kind in MOVING_KINDS for joint in joints)
+    moving = sum(joint.kind in MOVABLE_KINDS for joint in joints)
     if moving == len(find_wheels(joints)):
         return ModelBounds(at_rest)
     nothing = np.full((2, 3), np.nan)

@@ -170,6 +170,51 @@ def test_arm_on_a_falling_base_follows_its_targets(engine: Engine, base_kg: floa
     assert engine.read((arm,)).joint_positions == pytest.approx([0.5, -0.6, 0.4], abs=5e-3)
 
 
+def with_last_joint_between(arm: Model, lower: float, upper: float) -> Model:
+    last = msgspec.structs.replace(arm.joints[-1], lower=lower, upper=upper)
+    return msgspec.structs.replace(arm, joints=(*arm.joints[:-1], last))
+
+
+@pytest.mark.parametrize("base_kg", [0.0, 20.0], ids=["fixed", "falling"])
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [(JointTargetKind.VELOCITY, 1.0), (JointTargetKind.POSITION, 1.0)],
+    ids=["velocity", "position"],
+)
+@pytest.mark.parametrize("effort", [40.0, 1000.0])
+def test_motor_pushes_a_stop_with_its_limit_and_stays_at_it(
+    engine: Engine, effort: float, base_kg: float, kind: JointTargetKind, number: float
+) -> None:
+    arm = with_last_joint_between(a_long_arm(3, effort=effort, base_kg=base_kg), -1.0, 0.2)
+    body = engine.add(arm, a_state((0.0, 0.0, 50.0)))
+    held = [float(JointTargetKind.POSITION), 0.0] * 2
+    engine.command((body,), np.array([*held, float(kind), number]))
+    advance(engine, STEPS_S)
+
+    efforts, positions = [], []
+    for _ in range(STEPS_S // 2):
+        engine.step()
+        efforts.append(engine.read_joint_efforts((body,))[-1])
+        positions.append(engine.read((body,)).joint_positions[-1])
+
+    assert efforts == pytest.approx([effort] * len(efforts), rel=0.01)
+    assert positions == pytest.approx([0.2] * len(positions), abs=2e-3)
+    assert max(positions) - min(positions) < 3e-4
+
+
+def test_locked_joint_is_pushed_with_the_limit_of_its_motor(engine: Engine) -> None:
+    body = engine.add(
+        with_last_joint_between(a_long_arm(3, effort=200.0, base_kg=20.0), 0.0, 0.0),
+        a_state((0.0, 0.0, 50.0)),
+    )
+    hold(engine, body, [0.0, 0.0, -1.0])
+
+    advance(engine, STEPS_S)
+
+    assert engine.read_joint_efforts((body,))[-1] == pytest.approx(-200.0, rel=0.01)
+    assert engine.read((body,)).joint_positions[-1] == pytest.approx(0.0, abs=5e-3)
+
+
 @pytest.mark.parametrize("payload_kg", [0.1, 5.0, 20.0, 60.0])
 @pytest.mark.parametrize(("followers", "multiplier"), [(1, 1.0), (4, 1.0), (2, -0.5)])
 def test_follower_bears_a_load_and_its_leader_all_of_it(

@@ -5,13 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zensim.scenario.robot_behaviours import (
-    FleetState,
-    FloatArray,
-    PythonController,
-    load_class,
-    make_motions,
-)
+from zensim.proto.se3 import FloatArray
+from zensim.scenario.robot_behaviours import FleetState, PythonController, load_class, make_motions
 from zensim.scenario.scenario_format import PythonBehaviour
 from zensim.scenario.scenario_nodes import ScenarioInvalid
 from zensim.scenario.scenario_reader import read_scenario

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zensim.scenario.robot_behaviours import FleetState, FloatArray
+from zensim.proto.se3 import FloatArray
+from zensim.scenario.robot_behaviours import FleetState
 from zensim.scenario.scenario_faults import CommandFaults, FaultSchedule
 from zensim.scenario.scenario_reader import Scenario, read_scenario
 

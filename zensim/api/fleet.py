@@ -9,7 +9,7 @@ import numpy.typing as npt
 from zensim.api.api_errors import Invalid, refuse_pickling
 from zensim.api.argument_checks import check_limits
 from zensim.api.entity_values import SpawnReport, make_html_table
-from zensim.api.odometry_table import FleetOdometryRows
+from zensim.api.odometry_table import FleetOdometryRows, IntArray
 from zensim.api.robot import Robot
 from zensim.api.world_access import api_errors
 from zensim.api.world_session import RELEASED, WorldSession
@@ -20,7 +20,6 @@ from zensim.proto.rigid_transforms import find_yaw
 HTML_ROWS = 10
 SHOWN_NAMES = 3
 BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 
 
 class Fleet:

@@ -7,15 +7,14 @@ from zensim.envs.robot_task import (
     FAST,
     NEIGHBOURS,
     FleetView,
-    FloatArray,
     GoalProgress,
-    IntArray,
     Judgement,
     RobotTask,
     find_in_robot,
     find_neighbours,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 SUCCESS, COLLISION, STEP = 1.0, -2.0, -0.01
 """Rewards."""

@@ -13,13 +13,13 @@ from zensim.api.closed_on_exit import ClosedOnExit
 from zensim.api.in_process_world import World, get_server
 from zensim.envs.batch_drives import BatchDrives, SavedDrives
 from zensim.envs.batch_sensors import BatchSensors, SensorName
-from zensim.envs.world_layout import BoolArray, FloatArray, make_world_layout
+from zensim.envs.world_layout import make_world_layout
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.se3 import conjugate, rotate, to_yaw
 from zensim.proto.sensor_noise import KeyArray
 from zensim.proto.state_hash import hash_states
 from zensim.sim_server.physics.cells.cell_executor import StepThreads
-from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.engine import BoolArray, EngineRefused, FloatArray
 from zensim.sim_server.world.simulated_world import SimulatedWorld
 
 STATE_COLUMNS = 13

@@ -7,7 +7,7 @@ import numpy as np
 
 from zensim.api.api_errors import Invalid, NotFound, Unsupported
 from zensim.api.world_host import WorldHost
-from zensim.envs.world_layout import FloatArray, IntArray, WorldLayout
+from zensim.envs.world_layout import WorldLayout
 from zensim.proto.messages.model_messages import IDENTITY, Model, Sensor
 from zensim.proto.messages.sensing_messages import Environment
 from zensim.proto.messages.sensor_messages import ImuSensor, RaySensor
@@ -16,6 +16,7 @@ from zensim.proto.topic_catalog import IMU
 from zensim.robot_agent.mounted_sensors import list_state_sensors, mount_sensors
 from zensim.robot_agent.robot_rows import NEW_ROW, StateRows
 from zensim.robot_agent.state_sensors import SensorIdentity, StateSensor, make_state_sensor
+from zensim.sim_server.physics.engine import FloatArray, IntArray
 from zensim.sim_server.scene.fleet_casting import WorldsCaster, are_level, make_scan_caster
 from zensim.sim_server.scene.scene import SceneLayout
 from zensim.sim_server.sensors.ray_sensors import limit_ranges

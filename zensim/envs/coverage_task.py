@@ -11,15 +11,14 @@ from zensim.envs.robot_task import (
     NEIGHBOURS,
     BoolArray,
     FleetView,
-    FloatArray,
     GoalProgress,
-    IntArray,
     Judgement,
     RobotTask,
     find_in_robot,
     find_neighbours,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 CELL, NEARER, COLLISION, STEP = 0.1, 0.2, -1.0, -0.01
 """Rewards; `NEARER` of a metre."""

@@ -13,8 +13,8 @@ from zensim.api.in_process_world import World
 from zensim.envs.batch import TWIST_COLUMNS, BatchState
 from zensim.envs.env_settings import EnvSettings, count_control_steps, make_batch
 from zensim.envs.robot_task import FleetView, RobotTask, check_returned
-from zensim.envs.world_layout import BoolArray, FloatArray, IntArray
 from zensim.envs.world_streams import WorldStreams
+from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
 
 Observations = npt.NDArray[np.float32]
 ACTION_COLUMNS = 2

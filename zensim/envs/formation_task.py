@@ -6,14 +6,13 @@ from zensim.envs.robot_task import (
     FAR_M,
     FAST,
     FleetView,
-    FloatArray,
-    IntArray,
     Judgement,
     RobotTask,
     find_distances,
     find_in_robot,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 COLLISION = -1.0
 """Reward."""

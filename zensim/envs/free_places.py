@@ -1,14 +1,12 @@
 """Places on the floor that a robot can reach: cells of the map away from what is fixed."""
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
-from zensim.envs.robot_task import WorldStart
+from zensim.envs.robot_task import BoolArray, WorldStart
 from zensim.proto.messages.standard_messages import OccupancyGrid
+from zensim.proto.sensor_noise import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 RESOLUTION_M = 0.1
 
 

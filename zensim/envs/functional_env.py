@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from zensim.envs.env_settings import EnvKeywords
-    from zensim.envs.world_layout import BoolArray
+    from zensim.sim_server.physics.engine import BoolArray
 
 
 class FunctionalEnv(ClosedOnExit):

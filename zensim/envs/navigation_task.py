@@ -12,13 +12,12 @@ from zensim.envs.robot_task import (
     FAST,
     NEIGHBOURS,
     FleetView,
-    FloatArray,
-    IntArray,
     Judgement,
     WorldStart,
     find_neighbours,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 DELIVERY, COLLISION, STEP = 1.0, -2.0, -0.01
 """Rewards."""

@@ -10,8 +10,6 @@ from zensim.envs.robot_task import (
     FAST,
     NEIGHBOURS,
     FleetView,
-    FloatArray,
-    IntArray,
     Judgement,
     RobotTask,
     find_distances,
@@ -19,7 +17,8 @@ from zensim.envs.robot_task import (
     find_neighbours,
     turn_into_robot,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 CATCH, COLLISION, STEP = 1.0, -1.0, -0.01
 """Rewards."""

@@ -6,14 +6,13 @@ from zensim.envs.robot_task import (
     FAR_M,
     FAST,
     FleetView,
-    FloatArray,
     GoalProgress,
-    IntArray,
     Judgement,
     RobotTask,
     find_in_robot,
 )
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
+from zensim.proto.sensor_noise import FloatArray
 
 SUCCESS, COLLISION, STEP = 1.0, -1.0, -0.01
 """Rewards."""

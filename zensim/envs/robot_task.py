@@ -9,13 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid
-from zensim.envs.world_streams import WorldStreams
+from zensim.envs.world_streams import IntArray, WorldStreams
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.standard_messages import OccupancyGrid
+from zensim.proto.sensor_noise import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.intp]
 FAR_M = 20.0
 """Limit of distances in observations."""
 FAST = 10.0

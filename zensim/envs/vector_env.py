@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from zensim.envs.batch import Batch
     from zensim.envs.env_settings import EnvKeywords
-    from zensim.envs.world_layout import BoolArray, FloatArray
+    from zensim.sim_server.physics.engine import BoolArray, FloatArray
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 Infos = dict[str, Any]

@@ -3,16 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.api.api_errors import Invalid, Unsupported
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.engine import BodyStates, can_move
+from zensim.sim_server.physics.engine import BodyStates, FloatArray, IntArray, can_move
 from zensim.sim_server.world.simulated_world import SimulatedWorld
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from zensim.foxglove.scene_messages import (
     SceneUpdate,
     SpherePrimitive,
 )
-from zensim.proto.messages.model_messages import Link, Model, Origin, Quat, Shape
+from zensim.proto.messages.model_messages import MOVABLE_KINDS, Link, Model, Origin, Quat, Shape
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse
 from zensim.proto.rigid_transforms import compose
-from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
+from zensim.proto.tf_joints import list_hidden_joints
 
 WORLD_FRAME: Final = "world"
 DEFAULT_RGBA: Final[Quat] = (0.72, 0.74, 0.77, 1.0)

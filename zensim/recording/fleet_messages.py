@@ -28,12 +28,11 @@ from zensim.proto.message_paths import (
     list_tf_stamps,
 )
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, FleetOdometry
-from zensim.proto.messages.model_messages import Joint, Model
+from zensim.proto.messages.model_messages import MOVABLE_KINDS, Joint, Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import NANOSECONDS, Odometry, TFMessage
 from zensim.proto.messages.telemetry_messages import Event, GetModelsResponse
 from zensim.proto.network_protocols import Sample
-from zensim.proto.tf_joints import MOVABLE_KINDS
 from zensim.proto.topic_catalog import FLEET_ODOMETRY
 from zensim.recording.fleet_robots import (
     FAILURES,

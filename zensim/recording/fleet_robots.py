@@ -11,11 +11,11 @@ from zensim.proto.bus.bus_errors import BusError
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.drive_topic_keys import resolve_odom_key, resolve_topic_key
 from zensim.proto.messages.drive_messages import DriveSettings
-from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.model_messages import MOVABLE_KINDS, Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import EntityModel, Event, GetModelsResponse
 from zensim.proto.network_protocols import CallingNetwork, Sample
-from zensim.proto.tf_joints import MOVABLE_KINDS, list_hidden_joints
+from zensim.proto.tf_joints import list_hidden_joints
 from zensim.proto.topic_catalog import ODOM, TF
 from zensim.recording.recorded_topics import RecordedTopic
 from zensim.spawner.client.service_client import ServiceClient

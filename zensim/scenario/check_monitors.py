@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.se3 import FloatArray
 from zensim.scenario import scenario_format as sections
 from zensim.scenario.robot_behaviours import FleetState
 from zensim.scenario.scenario_format import Check
@@ -22,7 +23,6 @@ from zensim.scenario.time_operators import (
 )
 from zensim.scenario.wall_outlines import Wall
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Verdict = Literal["passed", "failed", "not_evaluated", "error"]
 EventKind = Literal["start", "end"]

@@ -3,12 +3,10 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from zensim.proto.path_following import find_turn
-from zensim.proto.se3 import wrap_angle
+from zensim.proto.se3 import FloatArray, wrap_angle
 
-FloatArray = npt.NDArray[np.float64]
 CastRays = Callable[[FloatArray, FloatArray, float], FloatArray]
 """Ranges (k,) [m] of rays from origins (k, 3) along directions (k, 3) up to a range."""
 PERIOD_S = 0.1

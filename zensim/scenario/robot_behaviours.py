@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.path_following import SLOW_DOWN_S, steer
+from zensim.proto.se3 import FloatArray
 from zensim.scenario.quantities import make_uniforms
 from zensim.scenario.ray_navigation import (
     PERIOD_S,
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from zensim.scenario.fleet_orders import FleetOrders
     from zensim.scenario.scenario_reader import Scenario
 
-FloatArray = npt.NDArray[np.float64]
 BehaviourT = TypeVar("BehaviourT")
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.se3 import FloatArray
 from zensim.scenario.check_monitors import ScenarioEvent
 from zensim.scenario.fault_sections import (
     AGENT_FAULTS,
@@ -25,7 +26,6 @@ from zensim.scenario.quantities import make_uniforms
 from zensim.scenario.robot_behaviours import FleetState
 from zensim.scenario.scenario_reader import Scenario
 
-FloatArray = npt.NDArray[np.float64]
 TIME_TOLERANCE_S = 1e-6
 HISTORY_S = 60.0
 """Commands that a delay can go back."""

@@ -26,6 +26,7 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.gazebo_messages import ApplyLinkWrenchRequest
 from zensim.proto.messages.standard_messages import NANOSECONDS, Duration, Vector3, Wrench
+from zensim.proto.se3 import FloatArray
 from zensim.proto.service_catalog import (
     APPLY_LINK_WRENCH,
     GET_ENTITY_BOUNDS,
@@ -82,7 +83,6 @@ if TYPE_CHECKING:
     from zensim.api.spawning import FleetKeywords, SpawnKeywords
     from zensim.proto.messages.model_messages import Dynamics
 
-FloatArray = npt.NDArray[np.float64]
 OF_COMMANDS = (*AGENT_FAULTS, CommandLoss, CommandDelay, CommandStuck, CommandScale)
 """Faults that the runner applies to the commands of behaviours."""
 VALUE_KEYS = ("factor", "every_nth", "delay", "share", "deviation", "bias")

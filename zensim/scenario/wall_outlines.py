@@ -5,13 +5,11 @@ from collections.abc import Iterator, Sequence
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Model, Shape
 from zensim.proto.messages.telemetry_messages import GetModelsResponse
-from zensim.proto.se3 import from_origin, to_yaw, transform_points
+from zensim.proto.se3 import FloatArray, from_origin, to_yaw, transform_points
 
-FloatArray = npt.NDArray[np.float64]
 SOLID_KINDS = ("box", "cylinder", "capsule", "sphere")
 """Shapes whose size is in the description; planes are floors, meshes are not looked at."""
 

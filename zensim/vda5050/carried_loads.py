@@ -10,10 +10,10 @@ from typing import Final
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion
 from zensim.proto.rigid_transforms import from_rpy, to_rpy
+from zensim.proto.se3 import FloatArray
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.client.world_follower import FAILURES
 from zensim.vda5050.footprint_check import Box
-from zensim.vda5050.route_geometry import FloatArray
 
 REACH_M: Final = 3.0
 """Distance of a load that can be picked."""

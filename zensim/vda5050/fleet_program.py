@@ -18,6 +18,7 @@ from zensim.proto.messages.agent_messages import STATE_COLUMNS, TwistCommands, s
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.messages.vehicle_messages import FleetStatus
+from zensim.proto.se3 import FloatArray
 from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT, TWISTS, VEHICLES
 from zensim.spawner.client.service_client import ServiceClient
 from zensim.spawner.client.topic_reader import read_topic
@@ -29,7 +30,6 @@ from zensim.vda5050.factsheet import make_factsheet
 from zensim.vda5050.footprint_check import Box, make_box
 from zensim.vda5050.order_errors import VehicleError
 from zensim.vda5050.record_store import RecordStore
-from zensim.vda5050.route_geometry import FloatArray
 from zensim.vda5050.vda_messages import Major
 from zensim.vda5050.vehicle import Vehicle
 from zensim.vda5050.vehicle_fleet import VehicleFleet

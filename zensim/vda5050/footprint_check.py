@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.entity_messages import Bounds, BoundsType
-from zensim.vda5050.route_geometry import FloatArray
+from zensim.proto.se3 import FloatArray
 
 MARGIN_M: Final = 0.05
 """Added on each side of a vehicle."""

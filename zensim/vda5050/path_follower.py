@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.path_following import find_turn
-from zensim.proto.se3 import wrap_angle
-from zensim.vda5050.route_geometry import FloatArray, Route
+from zensim.proto.se3 import FloatArray, wrap_angle
+from zensim.vda5050.route_geometry import Route
 
 BoolArray = npt.NDArray[np.bool_]
 REACHED_M: Final = 0.02

@@ -3,15 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.se3 import wrap_angle
+from zensim.proto.se3 import FloatArray, wrap_angle
 from zensim.vda5050.vda_messages import CurvedEdge, Edge, Node
 
-FloatArray: TypeAlias = npt.NDArray[np.float64]
 SPACING_M: Final = 0.2
 """Distance of the points of a curve."""
 MAX_SAMPLES: Final = 200

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.rigid_transforms import find_yaw
+from zensim.proto.se3 import FloatArray
 from zensim.vda5050 import order_errors
 from zensim.vda5050.footprint_check import CLEARANCE_M, Box, find_free_way
 from zensim.vda5050.order_errors import ErrorKind, VehicleError
@@ -20,7 +21,7 @@ from zensim.vda5050.path_follower import (
     VehicleLimits,
     follow,
 )
-from zensim.vda5050.route_geometry import FloatArray, make_route
+from zensim.vda5050.route_geometry import make_route
 from zensim.vda5050.vehicle import Vehicle, VehiclePose
 from zensim.vda5050.vehicle_reports import VehicleMotion
 

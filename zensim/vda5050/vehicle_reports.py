@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages.vehicle_messages import MAX_ROUTE_POINTS, VehicleStatus
+from zensim.proto.se3 import FloatArray
 from zensim.vda5050.order_progress import ActionState
 from zensim.vda5050.path_follower import VehicleLimits
-from zensim.vda5050.route_geometry import FloatArray
 from zensim.vda5050.vda_messages import Edge, Major, Node
 from zensim.vda5050.vehicle import InstantState, Vehicle, VehiclePose
 

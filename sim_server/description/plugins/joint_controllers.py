@@ -11,6 +11,8 @@ import msgspec
 
 from zensim.proto.messages.model_messages import (
     DEFAULT_STOPPED_VELOCITY,
+    LIMITED_KINDS,
+    MOVABLE_KINDS,
     CommandKind,
     JointController,
     PositionTolerance,
@@ -37,7 +39,6 @@ FORWARD_TYPES: dict[str, CommandKind | None] = {
 }
 """Parts of the types of controllers that pass numbers on, and what they are; None = as given."""
 INTERFACES: tuple[CommandKind, ...] = ("position", "velocity", "effort")
-BOUNDED_KINDS, MOVING_KINDS = ("revolute", "prismatic"), ("revolute", "prismatic", "continuous")
 MAX_CONTROLLERS = 32
 UNUSED_TAGS = {
     "command_interfaces": "trajectories move joints by their positions",
@@ -79,7 +80,7 @@ def _list_free_joints(model: Model) -> dict[str, Joint]:
     return {
         joint.name: joint
         for joint in model.joints
-        if joint.kind in MOVING_KINDS and joint.name not in owned and joint.mimic is None
+        if joint.kind in MOVABLE_KINDS and joint.name not in owned and joint.mimic is None
     }
 
 
@@ -210,7 +211,7 @@ def _list_moved_joints(
 
 
 def _is_bounded(joint: Joint) -> bool:
-    return joint.kind in BOUNDED_KINDS and joint.lower < joint.upper
+    return joint.kind in LIMITED_KINDS and joint.lower < joint.upper
 
 
 def _list_above(model: Model, joint: Joint) -> Iterable[str]:

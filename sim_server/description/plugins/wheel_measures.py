@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.messages.model_messages import ZERO, Link, Shape, Vec3
+from zensim.proto.messages.model_messages import TURNING_KINDS, ZERO, Link, Shape, Vec3
 from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.description.parsed_model import MODEL_FRAME
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-6, 1e6
-WHEEL_JOINT_KINDS = ("continuous", "revolute")
 ROUND_KINDS = ("sphere", "cylinder", "capsule")
 GRAVITY = 9.81
 MAX_BACKWARD_AXIS_Y = -0.5
@@ -84,7 +83,7 @@ def check_wheel_joints(names: Iterable[str], lumped: LumpedModel) -> None:
             raise UnusableDrive(
                 f"joint {name[:80]!r} does not exist or is fixed; moving joints: {known}"
             )
-        if joints[name].kind not in WHEEL_JOINT_KINDS:
+        if joints[name].kind not in TURNING_KINDS:
             raise UnusableDrive(f"joint {name!r} is {joints[name].kind}; make it continuous")
         if name in seen:
             raise UnusableDrive(f"joint {name!r} is used twice")

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.messages.model_messages import Joint, JointKind, Link, Mimic, Origin, Vec3
+from zensim.proto.messages.model_messages import (
+    MOVABLE_KINDS,
+    Joint,
+    JointKind,
+    Link,
+    Mimic,
+    Origin,
+    Vec3,
+)
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, conjugate, invert, rotate
 from zensim.sim_server.description.joint_reduction import SLIDE_LIMIT_M, X, Y, Z, make_unique_name
@@ -42,9 +50,8 @@ MAX_STIFFNESS = 1e12
 """[N m/rad or N/m]."""
 OFFSET_TOLERANCE_M = 1e-5
 """Distance of a joint's axis from its child's origin that comes from rounded angles."""
-SINGLE_AXIS_KINDS = ("revolute", "continuous", "prismatic")
 DOUBLE_AXIS_KINDS = ("universal", "revolute2")
-SDF_JOINT_KINDS = ("fixed", *SINGLE_AXIS_KINDS, "ball", *DOUBLE_AXIS_KINDS)
+SDF_JOINT_KINDS = ("fixed", *MOVABLE_KINDS, "ball", *DOUBLE_AXIS_KINDS)
 MODEL_FRAME_VERSIONS = ("1.0", "1.2", "1.3", "1.4")
 """Versions whose axes are in the model's frame."""
 COUPLING_KINDS = ("gearbox", "screw")
@@ -135,7 +142,7 @@ class SdfJointReader:
         where = f"joint {quote(tag.name)}, {name}"
         axis = tag.element.find(name)
         if axis is None:
-            if kind in SINGLE_AXIS_KINDS:
+            if kind in MOVABLE_KINDS:
                 self.report.suspicious(f"joint {quote(tag.name)}", "has no <axis>; 0 0 1 is used")
             axis = _make_empty_axis(tag.element)
         lower = read_bound(axis, "limit/lower", -NO_LIMIT, where)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import msgspec
 
 from zensim.proto.messages.model_messages import (
+    LIMITED_KINDS,
+    MOVABLE_KINDS,
     ZERO,
     Inertial,
     Joint,
@@ -81,14 +83,12 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.link_surfaces import UrdfMaterial
     from zensim.sim_server.description.meshes.mesh_triangles import FindFile
 
-SPRING_KINDS = ("revolute", "continuous", "prismatic")
 ROUND_KINDS: dict[str, Literal["sphere", "cylinder", "capsule"]] = {
     "sphere": "sphere",
     "cylinder": "cylinder",
     "capsule": "capsule",
 }
 JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
-LIMITED_KINDS = ("revolute", "prismatic")
 DEFAULT_AXIS = "1 0 0"
 """Axis of a joint without one. Source: URDF."""
 UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")
@@ -169,7 +169,7 @@ def _read_collected_texts(
 
 def _read_spring(joint: Joint, texts: dict[str, str], report: ParseReport) -> tuple[float, float]:
     subject = f"gazebo {joint.name!r}: <{SPRING_TAGS[0]}>"
-    if joint.kind not in SPRING_KINDS:
+    if joint.kind not in MOVABLE_KINDS:
         report.ignored(subject, f"a {joint.kind} joint has no spring")
         return 0.0, 0.0
     try:

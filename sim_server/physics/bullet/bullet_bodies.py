@@ -7,7 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.messages.model_messages import IDENTITY, ZERO, Joint, Link, Model, Shape, Vec3
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    LIMITED_KINDS,
+    ZERO,
+    Joint,
+    Link,
+    Model,
+    Shape,
+    Vec3,
+)
 from zensim.sim_server.physics.actuation import Actuation, make_actuation
 from zensim.sim_server.physics.blueprint import (
     Blueprint,
@@ -489,7 +498,7 @@ def make_dynamics_arguments(
         )
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
             arguments["localInertiaDiagonal"] = list_moments(part)
-        if part.joint is not None and part.joint.kind in ("revolute", "prismatic"):
+        if part.joint is not None and part.joint.kind in LIMITED_KINDS:
             arguments["jointLowerLimit"] = part.joint.lower
             arguments["jointUpperLimit"] = part.joint.upper
         yield number, arguments

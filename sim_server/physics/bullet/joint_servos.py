@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zensim.proto.messages.drive_messages import JointTargetKind
-from zensim.proto.messages.model_messages import Joint
+from zensim.proto.messages.model_messages import LIMITED_KINDS, Joint
 from zensim.sim_server.description.mimic_joints import list_following_joints
 from zensim.sim_server.physics.actuation import MAX_EFFORT, JointMotor
 from zensim.sim_server.physics.engine import BoolArray, FloatArray, IntArray
@@ -56,6 +56,7 @@ class Couplings:
         ratios: (k, m) speed of each joint per speed of an independent one; 0 for other joints.
         followers: (f,) places of joints with a `<mimic>`.
         offsets: (f,) of each, from its ratio times the position of the independent joint.
+        bounds: (2, m) lowest and highest position of each independent joint.
         motors: Of each independent joint; None without.
         applied: Places of the joints that get an effort.
     """
@@ -65,6 +66,7 @@ class Couplings:
     ratios: FloatArray
     followers: IntArray
     offsets: FloatArray
+    bounds: FloatArray
     motors: tuple[JointMotor | None, ...]
     applied: IntArray
 
@@ -104,9 +106,14 @@ def find_couplings(
         ratios,
         np.array([one.place for one in followers], dtype=np.intp),
         np.array([one.offset for one in followers]),
+        np.array([_find_bounds(moving[place][1]) for place in leaders]).T,
         tuple(motor_of.get(place) for place in leaders),
         np.flatnonzero(ratios.any(axis=1)),
     )
+
+
+def _find_bounds(joint: Joint) -> tuple[float, float]:
+    return (joint.lower, joint.upper) if joint.kind in LIMITED_KINDS else (-np.inf, np.inf)
 
 
 class ServoTargets(NamedTuple):
@@ -202,7 +209,9 @@ class JointServos:
             dynamics: Of the body.
         """
         couplings, targets = self.couplings, self.targets
-        wish = self._find_accelerations(np.array(positions), np.array(speeds))
+        at, moving = np.array(positions), np.array(speeds)
+        aim, pushing = self._find_aim(at[couplings.leaders], moving[couplings.leaders])
+        wish = self._find_accelerations(at, moving, aim)
         efforts = dynamics.bias + dynamics.mass @ wish
         sums = efforts @ couplings.ratios
         is_over = np.abs(sums) > (1.0 - RESERVED_SHARE) * targets.most_effort
@@ -210,18 +219,35 @@ class JointServos:
             own = couplings.ratios.T @ dynamics.mass @ couplings.ratios
             sums, change = limit_efforts(own, sums, targets)
             efforts = efforts + dynamics.mass @ (couplings.ratios @ change)
+        # A stop bears all that a motor exerts beyond what holds the joint, so that is not applied.
+        sums = np.where(pushing, pushing * (1.0 - RESERVED_SHARE) * targets.most_effort, sums)
         self._motor_efforts = np.where(targets.is_moved, sums, 0.0)
         # The engine applies commanded efforts by itself.
         efforts[couplings.leaders] -= targets.effort
         applied: list[float] = efforts[couplings.applied].tolist()
         return applied
 
-    def _find_accelerations(self, at: FloatArray, moving: FloatArray) -> FloatArray:
-        """Find the accelerations (k,) that reach the targets; 0 of joints without a motor."""
-        couplings, (is_moved, slope, position, most_speed, speed, *_) = self.couplings, self.targets
+    def _find_aim(self, at: FloatArray, moving: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Find the speeds (m,) at the end of the step, and the signs of motors that push stops.
+
+        A motor neither brakes a joint before its stop nor moves it beyond.
+        """
+        targets, (least, most) = self.targets, self.couplings.bounds
+        aim = targets.slope * (targets.position - at)
+        aim = np.minimum(np.maximum(aim, -targets.most_speed), targets.most_speed) + targets.speed
+        lowest = np.minimum((least - at) / self._dt_s, moving)
+        highest = np.maximum((most - at) / self._dt_s, moving)
+        is_at = ((aim > 0.0) & (at >= most)) | ((aim < 0.0) & (at <= least))
+        is_stopped = targets.is_moved & (is_at | (aim > highest) | (aim < lowest))
+        pushing = np.where(is_stopped, np.sign(aim), 0.0)
+        return np.where(is_at, 0.0, np.clip(aim, lowest, highest)), pushing
+
+    def _find_accelerations(
+        self, at: FloatArray, moving: FloatArray, aim: FloatArray
+    ) -> FloatArray:
+        """Find the accelerations (k,) that reach the speeds; 0 of joints without a motor."""
+        couplings, is_moved = self.couplings, self.targets.is_moved
         own = moving[couplings.leaders]
-        aim = slope * (position - at[couplings.leaders])
-        aim = np.minimum(np.maximum(aim, -most_speed), most_speed) + speed
         wish = couplings.ratios @ np.where(is_moved, (aim - own) / self._dt_s, 0.0)
         if len(followers := couplings.followers):
             ratios = couplings.ratios[followers]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from zensim.proto.messages.model_messages import Origin, Shape, Vec3
+from zensim.proto.messages.model_messages import LIMITED_KINDS, Origin, Shape, Vec3
 from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.blueprint import RigidPart
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
@@ -64,7 +64,6 @@ SCENERY_GEOMETRIES = 64
 MuJoCo's reader needs time with the square of the geometries of a model.
 """
 COMPILER = '<compiler angle="radian" balanceinertia="true" boundmass="0"/>'
-LIMITED_KINDS = ("revolute", "prismatic")
 CYLINDRICAL_KINDS = ("cylinder", "capsule")
 
 
@@ -223,7 +222,7 @@ def _write_joint(archetype: Archetype, link: int, dt_s: float) -> str:
     armature, least_damping = (
         (0.0, 0.0) if kind == "slide" else find_joint_inertia(archetype, link, joint.axis)
     )
-    rigid, limits = make_rigid_parameters(dt_s), ""
+    rigid, limits = make_rigid_parameters(dt_s, MAX_IMPEDANCE), ""
     if joint.kind != "continuous" and joint.lower <= joint.upper:
         upper = max(joint.upper, joint.lower + MIN_JOINT_RANGE)
         limits = (

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.zensim.vda5050.orders import edge, node, order, write
+from zensim.proto.se3 import FloatArray
 from zensim.vda5050.path_follower import ACKERMANN, TRICYCLE, RouteTable, VehicleLimits, follow
-from zensim.vda5050.route_geometry import FloatArray, Route, make_route, sample_nurbs
+from zensim.vda5050.route_geometry import Route, make_route, sample_nurbs
 from zensim.vda5050.vda_messages import ControlPoint, CurvedEdge, Order, read_message
 
 DT_S = 0.03

@@ -9,9 +9,9 @@ import pytest
 from tests.zensim.vda5050.orders import action, edge, header, line, node, order, write
 from tests.zensim.vda5050.test_vehicle import make
 from zensim.proto.messages.vehicle_messages import MAX_ROUTE_POINTS, VehicleStatus
+from zensim.proto.se3 import FloatArray
 from zensim.vda5050.footprint_check import Box
 from zensim.vda5050.path_follower import VehicleLimits
-from zensim.vda5050.route_geometry import FloatArray
 from zensim.vda5050.vehicle import Vehicle, VehiclePose
 from zensim.vda5050.vehicle_fleet import VehicleFleet
 from zensim.vda5050.vehicle_reports import report_status
