@@ -5,7 +5,7 @@ import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from errno import EEXIST
@@ -166,11 +166,13 @@ class UpPlan:
     Attributes:
         drive_robots: Makes what drives the robots once all programs run.
         names: Of the robots.
+        end_s: Simulation time at which the scenario ends.
     """
 
     config: LaunchConfig
     drive_robots: DriverMaker | None
     names: tuple[str, ...]
+    end_s: float | None = None
 
 
 def _make_plan(context: typer.Context, given: UpOptions) -> UpPlan:
@@ -191,14 +193,15 @@ def _make_scenario_plan(context: typer.Context, given: UpOptions, config: Launch
     from zensim.deploy.scenario_settings import add_scenario, refuse_options_of_the_demo
     from zensim.scenario.scenario_reader import find_scenario_file, read_scenario
 
-    scenario = read_scenario(find_scenario_file(given.file), given.settings or ())
     written = _list_written(context, given)
+    end = [f"end.at={given.duration or 'null'}"] if "duration" in written else []
+    scenario = read_scenario(find_scenario_file(given.file), [*(given.settings or ()), *end])
     refuse_options_of_the_demo(scenario, written)
     config = add_scenario(config, scenario, written)
     _refuse_pools_that_drive_others(config, given)
     _refuse_two_endpoints(config, scenario)
     maker = partial(_make_scenario_driver, scenario)
-    return UpPlan(config, maker, tuple(scenario.robot_names))
+    return UpPlan(config, maker, tuple(scenario.robot_names), scenario.format.end.at)
 
 
 def _refuse_two_endpoints(config: LaunchConfig, scenario: "Scenario") -> None:
@@ -401,7 +404,7 @@ def _run_until_stopped(
         deployment.viewer_url,
     )
     with deployment.bus, recorded_run(run):
-        _print_ready(deployment, plan.names, as_json=as_json)
+        _print_ready(deployment, plan, as_json=as_json)
         _open_page(deployment.viewer_url, plan.config.viewer.open_page)
         run_on()
         _print_summary(deployment, as_json=as_json)
@@ -447,8 +450,8 @@ def _show_progress(count: int) -> Iterator[LaunchProgress]:
         yield LaunchProgress(lambda: progress.advance(spawned), lambda: progress.advance(driving))
 
 
-def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: bool) -> None:
-    config = deployment.config
+def _print_ready(deployment: LocalDeployment, plan: UpPlan, *, as_json: bool) -> None:
+    config, names = deployment.config, plan.names
     if as_json:
         _print_json(
             {
@@ -458,6 +461,7 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
                 "engine": deployment.ready_info.engine,
                 "viewer": deployment.viewer_url or None,
                 "drives_others": config.agents.drives_others,
+                "end_s": plan.end_s,
             }
         )
         return
@@ -474,6 +478,8 @@ def _print_ready(deployment: LocalDeployment, names: Sequence[str], *, as_json: 
     if config.client_endpoint != config.reached_endpoint and not config.join_addresses:
         elsewhere = config.client_endpoint.replace("127.0.0.1", socket.gethostname())
         lines["elsewhere"] = f"--connect {elsewhere.replace('[::1]', socket.gethostname())}"
+    if plan.end_s is not None:
+        lines["end"] = f"at {plan.end_s:g} s of simulation time (--set end.at=null: runs on)"
     print_lines(f"{len(names)} robots ready in {deployment.ready_s:.1f} s")
     for word, line in lines.items():
         print_lines(f"  {word:<10} {line}")

@@ -1,5 +1,6 @@
 """`zensim up FILE`: a scenario in a world that runs by itself."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,17 @@ def test_scenario_ends_by_itself_and_its_checks_warn(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert f"{file}:7" in done.stderr
     assert f"{file}:8" not in done.stderr
+    assert "at 2 s" in done.stdout
+
+
+def test_duration_wins_over_the_end_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "a.scenario.yaml"
+    file.write_text(TEXT.replace("at: 2 s", "at: 1 h"))
+
+    done = up(str(file), "--duration", "1", "--json")
+
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[0])["end_s"] == 1.0
 
 
 @pytest.mark.parametrize(("text", "status"), [("zensim: 3\n", 2), ("", 3)])
