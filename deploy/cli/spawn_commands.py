@@ -139,11 +139,8 @@ def _add_local_notes(report: SpawnEntityReport, payload: SpawnPayload) -> SpawnE
         for file in payload.bundle.missing
         if file.mesh.uri not in reported
     )
-    return msgspec.structs.replace(report, report=(*report.report, *_list_notes(payload), *missing))
-
-
-def _list_notes(payload: SpawnPayload) -> tuple[ReportEntry, ...]:
-    return (*payload.bundle.notes, *payload.controllers.notes)
+    notes = (*payload.bundle.notes, *payload.controllers.notes, *missing)
+    return msgspec.structs.replace(report, report=(*report.report, *notes))
 
 
 def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:

@@ -230,12 +230,8 @@ def _list_parts(shape: Shape) -> list[_Part]:
     if shape.kind == "plane":
         return [_Part("plane", (GROUND_HALF_M, GROUND_HALF_M, 1.0))]
     if shape.kind == "mesh":
-        return [_Part(_name_mesh(shape), (1.0, 1.0, 1.0))]
+        return [_Part(f"{shape.mesh} {shape.size} {shape.texture}", (1.0, 1.0, 1.0))]
     return [_Part("box", shape.size)]
-
-
-def _name_mesh(shape: Shape) -> str:
-    return f"{shape.mesh} {shape.size} {shape.texture}"
 
 
 def _make_solid(name: str, geometry: ShapeGeometry, files: TextureFiles) -> _Solid:

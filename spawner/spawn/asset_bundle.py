@@ -176,7 +176,7 @@ def make_bundle(text: str, paths: SearchPaths) -> AssetBundle:
     textures = _limit_textures(collector.textures, set(by_uri.values()))
     by_uri |= {uri: path for uri, path in textures.items() if uri not in by_uri}
     unique_paths = tuple(dict.fromkeys(by_uri.values()))
-    by_path = {path: _hash_file(path) for path in unique_paths}
+    by_path = {path: AssetFile(path, *hash_file(path)) for path in unique_paths}
     return AssetBundle(
         refs=tuple(AssetRef(uri, by_path[path].sha256) for uri, path in by_uri.items()),
         files=tuple({file.sha256: file for file in by_path.values()}.values()),
@@ -242,10 +242,6 @@ def _check_sizes(paths: tuple[Path, ...]) -> None:
             f"the files of the description have {total / MIB:.1f} MiB; "
             f"the limit is {MAX_BUNDLE_BYTES // MIB} MiB",
         )
-
-
-def _hash_file(path: Path) -> AssetFile:
-    return AssetFile(path, *hash_file(path))
 
 
 def _limit_textures(textures: dict[str, Path], others: set[Path]) -> dict[str, Path]:

@@ -144,7 +144,7 @@ class SdfJointReader:
         if axis is None:
             if kind in MOVABLE_KINDS:
                 self.report.suspicious(f"joint {quote(tag.name)}", "has no <axis>; 0 0 1 is used")
-            axis = _make_empty_axis(tag.element)
+            axis = tag.element.makeelement("axis")
         lower = read_bound(axis, "limit/lower", -NO_LIMIT, where)
         upper = read_bound(axis, "limit/upper", NO_LIMIT, where)
         is_free = kind == "continuous" or (lower <= -NO_LIMIT and upper >= NO_LIMIT)
@@ -231,10 +231,6 @@ def _read_mimic(tag: JointElement, axis: Element, where: str) -> Mimic | None:
     offset = read_scalar(mimic, "offset", 0.0, where) - multiplier * reference
     leader = PoseGraph.full_name(tag.scope, mimic.get("joint") or read_text(mimic, "joint"))
     return Mimic(leader, multiplier, offset)
-
-
-def _make_empty_axis(joint: Element) -> Element:
-    return joint.makeelement("axis")
 
 
 def find_spanning_tree(

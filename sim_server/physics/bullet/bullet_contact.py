@@ -71,7 +71,7 @@ def find_rolling_frictions(model: Model, blueprint: Blueprint) -> RollingFrictio
     driven = {actuator.joint for actuator in model.actuators if actuator.mode == "velocity"}
     links = {i for i, joint in enumerate(model.joints, start=1) if joint.name in driven}
     return tuple(
-        (number, ROLLING_RESISTANCE * _radius_m(part))
+        (number, ROLLING_RESISTANCE * max(shape.size[0] for shape in part.shapes))
         for number, part in enumerate(blueprint.parts, start=-1)
         if part.link in links and part.shapes and _is_round(part)
     )
@@ -79,10 +79,6 @@ def find_rolling_frictions(model: Model, blueprint: Blueprint) -> RollingFrictio
 
 def _is_round(part: RigidPart) -> bool:
     return all(shape.kind in ROLLING_SHAPE_KINDS for shape in part.shapes)
-
-
-def _radius_m(part: RigidPart) -> float:
-    return max(shape.size[0] for shape in part.shapes)
 
 
 CONTACT_PROCESSING_M = 1e-4
