@@ -277,3 +277,36 @@ def test_hidden_and_removed_bodies_are_not_moved_by_their_springs() -> None:
     advance(engine, 24)
     assert engine.read([body]).joint_positions[0] != 0.0
     engine.close()
+
+
+def a_rod_with_a_tip() -> Model:
+    """A rod on a ball joint of three hinges without weight, and a light link that turns at its end.
+
+    Cassie has such rods: with MuJoCo's faster integrator their spins grew until they diverged.
+    """
+    feather = Inertial(1e-4, inertia=(1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9))
+    rod = Inertial(0.16, (0.25, 0.0, 0.0), (7.6e-5, 0.0, 0.0, 3.3e-3, 0.0, 3.3e-3))
+    tip = Inertial(0.05, (0.03, 0.01, 0.0), (1e-5, 0.0, 0.0, 3e-5, 0.0, 3e-5))
+    names, bodies = ("base", "a", "b", "rod", "tip"), (a_body(), feather, feather, rod, tip)
+    axes = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.6, 0.8))
+    joints = [
+        Joint(f"j{n}", "continuous", names[n], names[n + 1], Origin((0.5 * (n == 3), 0, 0)), axis)
+        for n, axis in enumerate(axes)
+    ]
+    return Model("rod", tuple(map(Link, names, bodies)), tuple(joints), is_static=True)
+
+
+@pytest.mark.parametrize("spin", [20.0, 40.0, 80.0])
+def test_light_rods_on_ball_joints_spin_no_faster_by_themselves(spin: float) -> None:
+    engine = MujocoEngine(EngineConfig(10_000_000))
+    body = engine.add(a_rod_with_a_tip(), a_state())
+    start = np.array((0.0, 0.3, 0.0, 0.4)), np.array((3.0, 2.0, spin, -spin))
+    engine.set_state(body, a_state(), *start)
+
+    most = 0.0
+    for _ in range(2 * 100):
+        engine.step()
+        most = max(most, float(np.abs(engine.read((body,)).joint_velocities).max()))
+    engine.close()
+
+    assert most < 1.5 * spin + 10.0
