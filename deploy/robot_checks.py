@@ -317,7 +317,7 @@ def _judge_undriven(result: TrialResult) -> tuple[Verdict, str]:
         return "no drive", wheels
     if result.tilt_rad > FALLEN_RAD:
         fallen = f"rests tilted by {math.degrees(result.tilt_rad):.0f} degrees"
-        return "predicted", f"it falls over, as nothing moves its joints: {fallen}"
+        return "predicted", f"it falls over, as nothing balances it: {fallen}"
     return "stands", ""
 
 

@@ -171,13 +171,9 @@ class RosGraph:
                 return group
         if self._queue is None:
             self._queue = self._session.open_token_queue()
-        self._groups.append(NodeGroup(self._queue, _make_session_id()))
+        # A Zenoh id has no leading zeros.
+        self._groups.append(NodeGroup(self._queue, f"{uuid.uuid4().int | 1 << 127:x}"))
         return self._groups[-1]
-
-
-def _make_session_id() -> str:
-    """Make up a Zenoh id: hexadecimal digits without leading zeros."""
-    return f"{uuid.uuid4().int | 1 << 127:x}"
 
 
 class RosTopic(msgspec.Struct, frozen=True):

@@ -15,7 +15,7 @@ from zensim.proto.messages.drive_messages import PAIR_SIZE, DriveOrder
 from zensim.proto.messages.model_messages import TURNING_KINDS
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.ground_friction import GroundFriction
-from zensim.sim_server.description.model_geometry import find_link_poses
+from zensim.sim_server.description.model_geometry import find_link_poses, turns_freely
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
     is_moved_by_twist,
@@ -100,7 +100,10 @@ def report_missing_drive(
     """
     lowered = lower_suspensions(lumped)
     suggested = suggest_drive(model, lowered)
-    has_interfaces = any(one.kind == "velocity" for one in model.command_interfaces)
+    wheels = {joint.name for joint in model.joints if turns_freely(joint)}
+    has_interfaces = any(
+        one.kind == "velocity" and one.joint in wheels for one in model.command_interfaces
+    )
     if suggested is None and len(find_wheels_rolling_aside(lowered)) >= PAIR_SIZE:
         report.suspicious(
             SUBJECT, "no drive: its wheels roll along y, a drive goes along x; turn its links"

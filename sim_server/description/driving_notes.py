@@ -21,6 +21,7 @@ from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     falls_without_end,
     find_link_poses,
+    turns_freely,
 )
 from zensim.sim_server.description.motion_prediction import (
     STRAIGHT,
@@ -158,7 +159,8 @@ def _describe_rest(case: _Case, ground: GroundMotion) -> Iterator[str]:
         yield FALL.reason
         return
     if not rest.is_stable and (loose := _list_loose_joints(case)):
-        yield f"{SINKS}: nothing holds {_name_some(loose)}, and its wheels are on them"
+        borne = "its wheels" if _carry_wheels(model, loose) else "parts that touch the ground"
+        yield f"{SINKS}: nothing holds {_name_some(loose)}, and {borne} are on them"
         return
     if not rest.is_stable:
         yield from _describe_fall(model, rest)
@@ -193,6 +195,18 @@ def _list_loose_joints(case: _Case) -> list[str]:
     """List the joints that carry supports about level axes, without motor or spring."""
     joints = (case.model.joints[i] for i in case.friction.rest.free)
     return [one.name for one in joints if one.kind != "prismatic" and not one.spring_stiffness]
+
+
+def _carry_wheels(model: Model, names: Sequence[str]) -> bool:
+    """Whether a joint with one of these names is above a joint that turns without limits."""
+    by_child = {joint.child: joint for joint in model.joints}
+    above = {joint.parent for joint in model.joints if turns_freely(joint)}
+    while above:
+        joints = [by_child[link] for link in above if link in by_child]
+        if any(joint.name in names for joint in joints):
+            return True
+        above = {joint.parent for joint in joints}
+    return False
 
 
 def _name_some(names: Sequence[str]) -> str:

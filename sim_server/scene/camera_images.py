@@ -98,12 +98,9 @@ def _keep_drawable(shapes: tuple[Shape, ...], has_mesh: Callable[[str], bool]) -
     return tuple(
         shape
         for shape in shapes
-        if (shape.kind != "mesh" or has_mesh(shape.mesh)) and not _is_transparent(shape)
+        if (shape.kind != "mesh" or has_mesh(shape.mesh))
+        and (shape.rgba is None or shape.rgba[3] != 0.0)
     )
-
-
-def _is_transparent(shape: Shape) -> bool:
-    return shape.rgba is not None and shape.rgba[3] == 0.0
 
 
 def find_rgba(shape: Shape) -> Quat:

@@ -262,13 +262,8 @@ def _search_folder(folder: Path, root: Path) -> Iterator[SearchFinding]:
             return
         yield None
         for path in (Path(place, name) for name in sorted(files) if name.endswith(WORLD_SUFFIXES)):
-            is_inside = _is_inside(root, path)
+            is_inside = path.resolve().is_relative_to(root)
             yield _read_listed_file(path, str(path.relative_to(root))) if is_inside else None
-
-
-def _is_inside(root: Path, path: Path) -> bool:
-    """Whether a path is below a folder after links are resolved."""
-    return path.resolve().is_relative_to(root)
 
 
 def _read_listed_file(file: Path, uri: str) -> WorldResource | None:

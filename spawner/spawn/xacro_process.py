@@ -23,7 +23,8 @@ from zensim.proto.process_limits import ResourceLimits, set_resource_limits
 from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
 from zensim.spawner.spawn.search_paths import SearchPaths, is_package, read_package_name
 
-UNDEFINED = re.compile(r"name '(\w+)' is not defined")
+UNDEFINED = re.compile(r"name '(\w+)' is not defined|Undefined substitution argument (\w+)")
+CLASS_NAME = re.compile(r"<class '[^']*'>: ")
 ARGUMENT = re.compile(
     r"<xacro:arg\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']|\$\(\s*arg\s+([^()\s]+)\s*\)"
 )
@@ -141,21 +142,21 @@ def _describe_failure(
 ) -> str:
     """Describe why a text is not expanded, and what would help."""
     reason = _describe_error(error)
-    if isinstance(error, packages.PackageNotFoundError) or "PackageNotFoundError" in reason:
+    if isinstance(error, packages.PackageNotFoundError) or "Package not found" in reason:
         return (
             f"{reason}; set package folders with --package-path (package_paths in a list or a "
             "scenario), or in ROS_PACKAGE_PATH"
         )
     if (undefined := UNDEFINED.search(reason)) is None:
         return reason
-    name = undefined[1]
+    name = undefined[1] or undefined[2]
     for file, text in _list_sources(request, xacro):
         if re.search(rf"<property\s[^>]*name\s*=\s*[\"']{re.escape(name)}[\"']", text):
             return (
                 f"{reason}; {file} sets {name!r} by <property>: xacro reads tags with its prefix "
                 "only, write <xacro:property>"
             )
-    return f"{reason}; set arguments with --xacro-arg key:=value"
+    return f"{reason}; set it with --xacro-arg {name}:=VALUE"
 
 
 def _describe_error(error: BaseException) -> str:
@@ -164,7 +165,10 @@ def _describe_error(error: BaseException) -> str:
         if isinstance(inner, MemoryError):
             return f"it takes more than {MEMORY_LIMIT_BYTES >> 20} MiB"
         inner = inner.__cause__ or inner.__context__
-    return " ".join(str(error).split())[:300] or type(error).__name__
+    # xacro says the name of an unknown class, and then its text twice.
+    words = CLASS_NAME.sub("", " ".join(str(error).split()))
+    half = words[: len(words) // 2].rstrip()
+    return (half if words == f"{half} {half}" else words)[:300] or type(error).__name__
 
 
 def _import_xacro(path: Path) -> tuple[ModuleType, ModuleType]:

@@ -228,7 +228,7 @@ def describe_missing_models(uris: Iterable[str]) -> str:
     plural = f"{len(named)} included models are" if len(named) > 1 else "an included model is"
     return (
         f"{plural} missing: {shown}{more}; nothing is downloaded: {what} into a folder of "
-        "--model-path, or allow missing models"
+        "--model-path (robots: --package-path), or allow missing models"
     )
 
 

@@ -206,7 +206,7 @@ def copy_slot_states(
     (model, data, _), (other_model, other_data, _) = old, new
     positions, velocities, bodies = (
         tuple(
-            _join_slot_indexes([getattr(address, name) for address in addresses])
+            np.concatenate([np.zeros(0, np.intp), *(getattr(one, name) for one in addresses)])
             for addresses in (old[2], new[2])
         )
         for name in ("positions", "velocities", "bodies")
@@ -219,10 +219,6 @@ def copy_slot_states(
     other_model.body_pos[bodies[1]] = model.body_pos[bodies[0]]
     other_model.body_quat[bodies[1]] = model.body_quat[bodies[0]]
     return targets[0].remap(velocities[0], velocities[1], targets[1])
-
-
-def _join_slot_indexes(indexes: Sequence[IndexArray]) -> IndexArray:
-    return np.concatenate([np.zeros(0, np.intp), *indexes])
 
 
 class MjTrees(Protocol):

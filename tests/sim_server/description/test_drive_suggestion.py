@@ -121,3 +121,20 @@ def test_wheels_that_nothing_turns_are_reported() -> None:
 
     assert mentions(report, "suspicious", "no drive")
     assert mentions(report, "suspicious", format_drive_order(DriveOrder("planar")))
+
+
+@pytest.mark.parametrize(("kind", "has_wheels"), [("continuous", True), ("revolute", False)])
+def test_joint_with_limits_and_a_velocity_interface_is_no_wheel(
+    kind: str,
+    has_wheels: bool,  # noqa: FBT001
+) -> None:
+    arm = a_link("arm", an_inertial()) + (
+        f'<joint name="elbow" type="{kind}"><parent link="base_link"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        '<ros2_control name="x" type="system"><joint name="elbow">'
+        '<command_interface name="velocity"/></joint></ros2_control>'
+    )
+
+    report = read_driven(a_robot(a_base(), arm)).report
+
+    assert mentions(report, "suspicious", "no drive") == has_wheels

@@ -377,8 +377,19 @@ def test_xacro_prefers_a_package_to_a_folder_of_its_name(tmp_path: Path) -> None
 def test_xacro_names_the_package_folders_when_a_package_is_missing(tmp_path: Path) -> None:
     file = make_xacro(tmp_path, INCLUDE)
 
-    with pytest.raises(DescriptionError, match=r"--package-path.*package_paths.*ROS_PACKAGE_PATH"):
+    with pytest.raises(
+        DescriptionError, match=r"--package-path.*package_paths.*ROS_PACKAGE_PATH"
+    ) as refusal:
         expand(file, {})
+    assert str(refusal.value).count("Package not found") == 1
+    assert "<class" not in str(refusal.value)
+
+
+def test_xacro_names_the_option_of_an_argument_that_is_missing(tmp_path: Path) -> None:
+    text = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg who)"/>'
+
+    with pytest.raises(DescriptionError, match=r"--xacro-arg who:="):
+        expand(make_xacro(tmp_path, text), {})
 
 
 def test_xacro_argument_that_nothing_reads_is_refused(tmp_path: Path) -> None:
