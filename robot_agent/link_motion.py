@@ -7,7 +7,7 @@ from typing import Generic
 import msgspec
 
 from zensim.proto.drives.column_math import Column, ColumnMath
-from zensim.proto.messages.model_messages import Joint, JointKind, Model, Origin, Vec3
+from zensim.proto.messages.model_messages import JointKind, Model, Origin, Vec3
 from zensim.proto.rigid_transforms import (
     Rotation,
     Vector,
@@ -90,13 +90,9 @@ def find_link_chain(model: Model, link: str) -> LinkChain:
     joints: list[ChainJoint] = []
     while link in moving:
         index, joint = moving[link]
-        joints.insert(0, _make_chain_joint(index, joint))
+        joints.insert(0, ChainJoint(index, joint.kind, joint.origin, normalize(joint.axis)))
         link = joint.parent
     return LinkChain(tuple(joints), fixed)
-
-
-def _make_chain_joint(index: int, joint: Joint) -> ChainJoint:
-    return ChainJoint(index, joint.kind, joint.origin, normalize(joint.axis))
 
 
 def _move_by_origin(at: LinkState[Column], origin: Origin) -> LinkState[Column]:

@@ -6,11 +6,11 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from errno import EEXIST
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -45,6 +45,7 @@ from zensim.deploy.cli.spawn_arguments import (
 from zensim.deploy.cli.view_commands import MissingViewerExtra, check_page
 from zensim.deploy.demo_patterns import DEMO_BEHAVIOURS, MovingBehaviour, describe_demo
 from zensim.deploy.local_runs import LocalRun, recorded_run
+from zensim.proto.bus.bus_errors import NoServer
 from zensim.proto.drive_orders import parse_drive_order
 from zensim.proto.endpoints import DEFAULT_ENDPOINT, check_exposure, with_free_port
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
@@ -67,7 +68,7 @@ from zensim.proto.settings.setting import change_settings, read_settings
 from zensim.proto.stop_signal import StopFlag
 from zensim.proto.supervisor import ProgramDied, SupervisedProgram, Supervisor
 from zensim.proto.topic_catalog import read_ros_settings
-from zensim.proto.verbosity import CURRENT
+from zensim.proto.verbosity import CURRENT, print_note
 from zensim.proto.web_access import add_token_of_file, split_token
 from zensim.sim_server.security.secure_folder import (
     SecureSettings,
@@ -89,6 +90,8 @@ app = make_app()
 console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], "UpDriver"]
 MOST_IN_ROW = 20  # robots that one picture shows
+SLOW_AFTER_S, SLOW_SHARE = 8.0, 0.8
+FASTER = "faster: --dynamics auto or kinematic, --engine mujoco, fewer steps (--step-hz 120)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,6 +372,7 @@ def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: b
             stack.callback(driver.close)
             should_stop = driver.watch(stop)
             deployment.ready_s = time.monotonic() - began_s
+        should_stop = say_once_if_slow(deployment, should_stop)
         run_on = partial(supervise, deployment, duration, should_stop)
         with _server_death_explained(plan.config):
             _run_until_stopped(deployment, run_on, plan, as_json=as_json)
@@ -377,6 +381,25 @@ def _launch_and_run(plan: UpPlan, began_s: float, duration: float, *, as_json: b
             f"the recording {plan.config.programs.record} is not whole: the recorder failed "
             f"{recorder.failures} times; 'zensim bag info' shows what it has"
         )
+
+
+def say_once_if_slow(
+    deployment: LocalDeployment, should_stop: Callable[[], bool]
+) -> Callable[[], bool]:
+    """Say after a while what makes a world faster that is slower than it should be."""
+    due_s = time.monotonic() + SLOW_AFTER_S
+
+    def check() -> bool:
+        nonlocal due_s
+        if time.monotonic() > due_s:
+            due_s = inf
+            with suppress(NoServer, TimeoutError):
+                info = deployment.client.info()
+                if 0.0 < info.real_time_factor < SLOW_SHARE * info.target_real_time_factor:
+                    print_note("up", f"real-time factor {info.real_time_factor:.2f}; {FASTER}")
+        return should_stop()
+
+    return check
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from zensim.sim_server.service_parts import (
     Pacing,
     make_environment,
 )
-from zensim.sim_server.world.entity import Entity, check_entity_info
+from zensim.sim_server.world.entity import check_entity_info
 from zensim.sim_server.world.pose_conversion import (
     WORLD_FRAMES,
     pose_from_row,
@@ -110,7 +110,7 @@ def get_models(
     distinct = {id(entity.model): entity.model for entity in entities}
     number = {model: i for i, model in enumerate(dict.fromkeys(distinct.values()))}
     model_of = {key: number[model] for key, model in distinct.items()}
-    texts = [_find_wanted_text(entity, request) for entity in entities]
+    texts = [one.description if request.wants_descriptions else "" for one in entities]
     text_number = {text: i for i, text in enumerate(dict.fromkeys(texts))}
     return telemetry_messages.GetModelsResponse(
         Result(),
@@ -134,10 +134,6 @@ def get_models(
         tuple(text_number) if request.wants_descriptions else (),
         tuple(map(descriptions.list_files, number)) if request.wants_descriptions else (),
     )
-
-
-def _find_wanted_text(entity: Entity, request: telemetry_messages.GetModelsRequest) -> str:
-    return entity.description if request.wants_descriptions else ""
 
 
 def get_entity_state(

@@ -22,7 +22,7 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import SetSpeedRequest
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest
 from zensim.proto.ros2.message_definitions import write_definition
-from zensim.proto.ros2.ros_service_catalog import ROS_SERVICES, RosService
+from zensim.proto.ros2.ros_service_catalog import ROS_SERVICES
 from zensim.proto.security.roles import ROLES, Operation, User, list_keys
 from zensim.proto.topic_catalog import CMD_VEL, Participant, find_robot_topic
 
@@ -88,8 +88,8 @@ class WorldControl:
         self._bus, self._world = bus, world
         self._publishable = self._list_publishable(domain) if bus.user else ["**"]
         """Key expressions: a router silently drops what a role does not permit."""
-        services = [_find_ros_service(one.name) for one in SERVICES]
-        self._services = dict(enumerate(services, 1))
+        by_name = {one.service: one for one in reversed(ROS_SERVICES)}
+        self._services = dict(enumerate((by_name[one.name] for one in SERVICES), 1))
 
     def list_services(self) -> tuple[AdvertisedService, ...]:
         """List the services, with the definitions of their messages."""
@@ -203,10 +203,6 @@ def _read_factor(parameter: WorldParameter) -> float:
     if not is_number:
         raise ValueError(f"{SPEED_PARAMETER} {value!r:.80} is not a number; use one of 0 or more")
     return float(cast("float", value))
-
-
-def _find_ros_service(name: str) -> RosService:
-    return next(one for one in ROS_SERVICES if one.service == name)
 
 
 def _describe_form(kind: type[msgspec.Struct]) -> MessageForm:

@@ -244,7 +244,7 @@ def join_columns(groups: Sequence[Mapping[str, Column]], path: str, key: str) ->
     parts = [one.get(path) for one in groups]
     if all(isinstance(one, TextColumn | None) for one in parts):
         filled = [
-            one if one is not None else _fill_text(len(group[key]))
+            one if one is not None else TextColumn(np.zeros(len(group[key]), np.int32), ("",))
             for one, group in zip(parts, groups, strict=True)
         ]
         return _join_texts([one for one in filled if isinstance(one, TextColumn)])
@@ -258,10 +258,6 @@ def join_columns(groups: Sequence[Mapping[str, Column]], path: str, key: str) ->
             for one, group in zip(parts, groups, strict=True)
         ]
     )
-
-
-def _fill_text(count: int) -> TextColumn:
-    return TextColumn(np.zeros(count, np.int32), ("",))
 
 
 def _join_texts(columns: Sequence[TextColumn]) -> TextColumn:

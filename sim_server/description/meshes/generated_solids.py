@@ -53,7 +53,8 @@ def make_prisms(outline: Sequence[tuple[float, float]], height: float) -> list[S
 def cut_ears(outline: Sequence[tuple[float, float]]) -> list[Triangle]:
     """Divide a simple polygon into triangles by ear clipping."""
     corners = list(dict.fromkeys(outline))
-    if len(corners) >= PRISM_CORNERS and sum(map(_cross_of_edge, corners, _shift(corners))) < 0.0:
+    edges = zip(corners, corners[1:] + corners[:1], strict=True)
+    if sum(ax * by - bx * ay for (ax, ay), (bx, by) in edges) < 0.0:
         corners.reverse()
     found: list[Triangle] = []
     while len(corners) > PRISM_CORNERS:
@@ -61,14 +62,6 @@ def cut_ears(outline: Sequence[tuple[float, float]]) -> list[Triangle]:
         found.append((corners[at - 1], corners[at], corners[(at + 1) % len(corners)]))
         del corners[at]
     return [*found, (corners[0], corners[1], corners[2])] if len(corners) == PRISM_CORNERS else []
-
-
-def _shift(corners: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    return corners[1:] + corners[:1]
-
-
-def _cross_of_edge(start: tuple[float, float], end: tuple[float, float]) -> float:
-    return start[0] * end[1] - end[0] * start[1]
 
 
 def _find_area(triangle: Triangle) -> float:

@@ -73,12 +73,10 @@ def find_rolling_frictions(model: Model, blueprint: Blueprint) -> RollingFrictio
     return tuple(
         (number, ROLLING_RESISTANCE * max(shape.size[0] for shape in part.shapes))
         for number, part in enumerate(blueprint.parts, start=-1)
-        if part.link in links and part.shapes and _is_round(part)
+        if part.link in links
+        and part.shapes
+        and all(shape.kind in ROLLING_SHAPE_KINDS for shape in part.shapes)
     )
-
-
-def _is_round(part: RigidPart) -> bool:
-    return all(shape.kind in ROLLING_SHAPE_KINDS for shape in part.shapes)
 
 
 CONTACT_PROCESSING_M = 1e-4
