@@ -72,16 +72,12 @@ def merge_endpoints(endpoints: Iterable[AnnouncedEndpoint | None]) -> list[Topic
     return [
         TopicFacts(
             key,
-            _name_types(ends),
+            ", ".join(dict.fromkeys(one.ros_type for one in ends)),
             tuple(_to_endpoint(one) for one in ends if one.kind == PUBLISHER),
             tuple(_to_endpoint(one) for one in ends if one.kind == SUBSCRIPTION),
         )
         for key, ends in by_key.items()
     ]
-
-
-def _name_types(endpoints: Iterable[AnnouncedEndpoint]) -> str:
-    return ", ".join(dict.fromkeys(one.ros_type for one in endpoints))
 
 
 def _to_endpoint(one: AnnouncedEndpoint) -> TopicEndpoint:

@@ -54,6 +54,8 @@ class MjModel:
     geom_solref: _Floats
     geom_solimp: _Floats
     jnt_qposadr: _Ints
+    jnt_range: _Floats
+    dof_M0: _Floats
     jnt_type: _Ints
     dof_jntid: _Ints
     dof_treeid: _Ints

@@ -2,7 +2,6 @@
 
 import math
 import sys
-from enum import IntEnum
 from typing import Annotated
 
 import msgspec
@@ -117,7 +116,7 @@ def features(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """List the features of the server, by their names in simulation_interfaces."""
     with open_client("features", server) as client:
         reply = client.features()
-    names = [_enum_name(Feature, number) for number in reply.features]
+    names = [Feature(one).name if one in set(Feature) else str(one) for one in reply.features]
     if as_json:
         print_json(
             {
@@ -158,10 +157,6 @@ def _print_figures(name: str, value: object) -> None:
             print_lines(f"{name:<24} {value:.6g}")
         case _:
             print_lines(f"{name:<24} {value}")
-
-
-def _enum_name(kind: type[IntEnum], number: int) -> str:
-    return kind(number).name if number in set(kind) else str(number)
 
 
 @app.command()

@@ -289,11 +289,11 @@ def get_last_messages(bus: Bus, key: str) -> list[Sample]:
         return [one for name in sorted(GETTABLE_NAMES) for one in bus.get(f"sim/*/{name}")]
     if key.startswith("sim/") and not is_pattern and last_chunk(key) not in GETTABLE_NAMES:
         return []
-    return [sample for sample in bus.get(key) if _is_of_topic(sample.key)]
-
-
-def _is_of_topic(key: str) -> bool:
-    return not key.startswith("sim/") or last_chunk(key) in GETTABLE_NAMES
+    return [
+        one
+        for one in bus.get(key)
+        if not one.key.startswith("sim/") or last_chunk(one.key) in GETTABLE_NAMES
+    ]
 
 
 def _receive(

@@ -112,17 +112,14 @@ def _index_settings(group: type[msgspec.Struct]) -> Mapping[str, SettingField]:
 def _find_settings(group: type[msgspec.Struct]) -> Iterator[SettingField]:
     hints = get_type_hints(group, include_extras=True)
     for field in msgspec.structs.fields(group):
-        kind, *metadata = _split_annotation(hints[field.name])
+        hint = hints[field.name]
+        kind, *metadata = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if is_settings(kind):
             yield from _find_settings(kind)
         for one in metadata:
             if isinstance(one, Setting):
                 plain, is_optional = _split_optional(kind)
                 yield SettingField(field.name, plain, is_optional, field.default, one)
-
-
-def _split_annotation(hint: Any) -> tuple[Any, ...]:  # noqa: ANN401
-    return get_args(hint) if get_origin(hint) is Annotated else (hint,)
 
 
 def _split_optional(kind: Any) -> tuple[Any, bool]:  # noqa: ANN401

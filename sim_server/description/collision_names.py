@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from zensim.proto.messages.model_messages import Model
 
@@ -45,8 +45,7 @@ def find_collisions_of_link(model: Model, link: str) -> tuple[CollisionIndex, ..
     """Find the collisions of a link of the description."""
     for number, one in enumerate(model.links):
         if one.name == link:
-            merged = (LUMP,)
-            own = [at for at, shape in enumerate(one.collisions) if not _has(shape.name, merged)]
+            own = [at for at, shape in enumerate(one.collisions) if LUMP not in shape.name]
             return tuple((number, at) for at in own)
     parents = {frame.name: frame.parent for frame in model.frames}
     if link not in parents:
@@ -63,10 +62,6 @@ def find_collisions_of_link(model: Model, link: str) -> tuple[CollisionIndex, ..
         if (name == begin or name.startswith(f"{begin}_"))
         and not any(name.startswith(f"{other}_") for other in longer)
     )
-
-
-def _has(name: str, parts: Iterable[str]) -> bool:
-    return any(part in name for part in parts)
 
 
 def _find_named(model: Model, name: str) -> tuple[CollisionIndex, ...]:

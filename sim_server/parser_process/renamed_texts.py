@@ -86,7 +86,8 @@ class RenamedTexts:
 
     def parse(self, request: ParseRequest) -> ParsedText:
         """Parse a text, or copy the model of one that differs in its names alone."""
-        if request.is_world or request.assets or _count(request) > MAX_TEXT_CHARACTERS:
+        size = len(request.text) + sum(map(len, request.controllers))
+        if request.is_world or request.assets or size > MAX_TEXT_CHARACTERS:
             return self._parse(request)
         text = split_names(request.text)
         if text.form == request.text or NAME_MARK in request.text or NAMESPACE_MARK in request.text:
@@ -127,10 +128,6 @@ class RenamedTexts:
         except msgspec.ValidationError:  # JSON has no infinite numbers
             return None
         return encoded if is_same else None
-
-
-def _count(request: ParseRequest) -> int:
-    return len(request.text) + sum(map(len, request.controllers))
 
 
 def _decode(encoded: bytes) -> Model:

@@ -314,7 +314,10 @@ def split_static_meshes(blueprint: Blueprint, *, max_parts: int) -> Blueprint:
         return blueprint
     # Rounding up may add one group for each part.
     group_size = max(MAX_MESHES_PER_PART, -(-meshes // max(1, room - len(blueprint.parts))))
-    parts = [replace(part, shapes=_non_mesh_shapes(part)) for part in blueprint.parts]
+    parts = [
+        replace(part, shapes=tuple(shape for shape in part.shapes if not shape.mesh))
+        for part in blueprint.parts
+    ]
     mesh_parts = [
         _make_mesh_part(part, number, meshes)
         for number, part in enumerate(blueprint.parts)
@@ -325,10 +328,6 @@ def split_static_meshes(blueprint: Blueprint, *, max_parts: int) -> Blueprint:
 
 def _mesh_shapes(part: RigidPart) -> tuple[Shape, ...]:
     return tuple(shape for shape in part.shapes if shape.mesh)
-
-
-def _non_mesh_shapes(part: RigidPart) -> tuple[Shape, ...]:
-    return tuple(shape for shape in part.shapes if not shape.mesh)
 
 
 def _group_meshes(shapes: tuple[Shape, ...], size: int) -> list[tuple[Shape, ...]]:

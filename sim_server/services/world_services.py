@@ -178,7 +178,8 @@ def get_available_worlds(
     loading: WorldLoading, request: world_messages.GetAvailableWorldsRequest
 ) -> DeferredResponse[world_messages.GetAvailableWorldsResponse]:
     """List the worlds that can be loaded, the server's own first; a few files per turn."""
-    sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
+    left_out = ONLINE_SCHEMES if request.offline_only else ()
+    sources = [one for one in request.additional_sources if not one.startswith(left_out)]
     if len(sources) > MAX_SOURCES:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -213,10 +214,6 @@ class _WorldListing:
 
     def _read_more(self) -> FileWork[bool]:
         return FileWork(lambda _: self._search.advance())
-
-
-def _is_skipped(source: str, request: world_messages.GetAvailableWorldsRequest) -> bool:
-    return request.offline_only and source.startswith(ONLINE_SCHEMES)
 
 
 def _make_worlds_response(

@@ -202,6 +202,31 @@ def test_motor_pushes_a_stop_with_its_limit_and_stays_at_it(
     assert max(positions) - min(positions) < 3e-4
 
 
+@pytest.mark.parametrize("effort", [0.0, 1e5], ids=["unlimited", "strong"])
+@pytest.mark.parametrize("kind", [JointTargetKind.VELOCITY, JointTargetKind.POSITION])
+def test_no_motor_moves_a_joint_through_its_stop(
+    engine: Engine, effort: float, kind: JointTargetKind
+) -> None:
+    arm = with_last_joint_between(a_long_arm(3, effort=effort, base_kg=20.0), -1.0, 0.2)
+    body = engine.add(arm, a_state((0.0, 0.0, 50.0)))
+    held = [float(JointTargetKind.POSITION), 0.0] * 2
+    engine.command((body,), np.array([*held, float(kind), 1.0]))
+
+    advance(engine, 2 * STEPS_S)
+
+    assert engine.read((body,)).joint_positions[-1] == pytest.approx(0.2, abs=2e-3)
+
+
+def test_limits_in_the_wrong_order_stop_nothing(engine: Engine) -> None:
+    arm = with_last_joint_between(a_long_arm(3, effort=40.0, base_kg=20.0), 0.2, -0.2)
+    body = engine.add(arm, a_state((0.0, 0.0, 50.0)))
+    hold(engine, body, [0.0, 0.0, 1.0])
+
+    advance(engine, STEPS_S)
+
+    assert engine.read((body,)).joint_positions[-1] == pytest.approx(1.0, abs=0.01)
+
+
 def test_locked_joint_is_pushed_with_the_limit_of_its_motor(engine: Engine) -> None:
     body = engine.add(
         with_last_joint_between(a_long_arm(3, effort=200.0, base_kg=20.0), 0.0, 0.0),

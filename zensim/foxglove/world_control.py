@@ -141,7 +141,8 @@ class WorldControl:
                 "/ROBOT/joint_commands"
             )
         types = {str(vars(one)["ros_type"]): one for one in spec.messages}
-        kind = types.get(_complete_type(channel.schema_name))
+        name = channel.schema_name  # some panels write pkg/Name
+        kind = types.get(name.replace("/", "/msg/") if name.count("/") == 1 else name)
         if kind is None or channel.encoding not in CONTROL_ENCODINGS:
             raise RefusedChannel(
                 f"{channel.topic} as {channel.schema_name[:80]!r} in {channel.encoding[:20]!r} is "
@@ -208,8 +209,3 @@ def _read_factor(parameter: WorldParameter) -> float:
 def _describe_form(kind: type[msgspec.Struct]) -> MessageForm:
     name = str(vars(find_ros_class(kind))["ros_type"])
     return MessageForm("cdr", name, ROS_SCHEMA, write_definition(kind))
-
-
-def _complete_type(name: str) -> str:
-    """Complete `pkg/Name`, as some panels write types."""
-    return name.replace("/", "/msg/") if name.count("/") == 1 else name

@@ -151,14 +151,11 @@ def _describe_robots(sim: Simulation, stem: str, files: dict[str, str]) -> Itera
         entry: dict[str, object] = {"name": _name_group(entities, taken), "model": models[number]}
         if entities[0].namespace != entities[0].entity:
             entry["namespace"] = entities[0].namespace
-        if not any(one.agent for one in entities) and not _is_driven(response.models, entities[0]):
+        drive = getattr(response.models[entities[0].model], "drive", None)
+        if drive is None and not any(one.agent for one in entities):
             entry["agent"] = "none"
         entry["poses"] = [{"name": one.entity, **poses[one.entity]} for one in entities]
         yield entry
-
-
-def _is_driven(models: Sequence[object], entity: EntityModel) -> bool:
-    return getattr(models[entity.model], "drive", None) is not None
 
 
 def _read_poses(sim: Simulation, spawned: Sequence[EntityModel]) -> Iterator[dict[str, float]]:

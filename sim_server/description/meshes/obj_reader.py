@@ -213,7 +213,8 @@ def _read_faces(
     is_second = (slashes == 1) & (words.text != SLASH)
     images = np.full(len(numbers), -1, dtype=np.int64)
     if is_second.any():
-        has_second = _has_second(words, is_second)
+        # Words that have a byte after their first slash and before their second one.
+        has_second = np.add.reduceat(is_second & (words.text > SPACE), words.starts) > 0
         chosen, known = has_second[is_read], np.repeat(points[is_face], sides)
         images[chosen] = _read_indices(words, is_read & has_second, is_second, known[chosen])
     return faces, _triangulate(images, sides), lines
@@ -236,11 +237,6 @@ def _read_indices(
         raise ObjSyntaxError(words.line(int(_line_of_each(words, is_read)[far[0]])))
     indices: IntArray = np.where(numbers < 0, numbers + known, numbers - 1)
     return indices
-
-
-def _has_second(words: _WordIndex, is_second: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the words that have a byte after their first slash and before their second one."""
-    return np.add.reduceat(is_second & (words.text > SPACE), words.starts) > 0
 
 
 def _spread_to_bytes(of_words: NDArray[np.bool_], words: _WordIndex) -> NDArray[np.bool_]:

@@ -117,7 +117,9 @@ def _read_controlled(
     drive: Drive | None = None
     publisher = model.joint_state
     for controller in read_controllers(files):
-        plugin = next((one for one in DRIVE_CONTROLLERS if _is_of(controller, one)), None)
+        kind = controller.type
+        fitting = (one for one in DRIVE_CONTROLLERS if any(name in kind for name in one.filenames))
+        plugin = next(fitting, None)
         subject = f"controller {controller.name[:80]!r}"
         if plugin is not None and drive is None:
             drive = _read_drive(controller, subject, plugin, lumped=lumped, report=report)
@@ -128,10 +130,6 @@ def _read_controlled(
         elif not is_joint_controller(controller):
             report.ignored(subject, f"{controller.type[:80]!r} does not drive the robot")
     return msgspec.structs.replace(model, drive=drive or model.drive, joint_state=publisher)
-
-
-def _is_of(controller: Controller, plugin: DrivePlugin[Any]) -> bool:
-    return any(name in controller.type for name in plugin.filenames)
 
 
 def _read_drive(

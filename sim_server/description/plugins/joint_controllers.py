@@ -203,15 +203,13 @@ def _list_moved_joints(
         for name, joint in free.items()
         if joint.spring_stiffness <= 0.0 and name not in carriers
     }
-    bounded = {name for name, joint in moved.items() if _is_bounded(joint)}
+    bounded = {
+        name for name, one in moved.items() if one.kind in LIMITED_KINDS and one.lower < one.upper
+    }
     arms = bounded | {one for name in bounded for one in above[name]}
     for name in moved:
         if name in arms or not bounded.isdisjoint(above[name]):
             yield name
-
-
-def _is_bounded(joint: Joint) -> bool:
-    return joint.kind in LIMITED_KINDS and joint.lower < joint.upper
 
 
 def _list_above(model: Model, joint: Joint) -> Iterable[str]:

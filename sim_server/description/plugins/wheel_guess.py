@@ -224,17 +224,15 @@ def _list_upright_joints(lumped: LumpedModel) -> set[str]:
 
 def _is_caster(wheel: Joint, joints: Iterable[Joint], upright: set[str]) -> bool:
     swivel = _find_swivel(wheel, {joint.child: joint for joint in joints}, upright)
-    return swivel is not None and _swivels(swivel) and not _has_steering_limits(swivel)
+    if swivel is None or not _swivels(swivel):
+        return False
+    # Cars are written with limits, also where the kind of their joints makes these void.
+    return not 0.0 < swivel.upper - swivel.lower < FULL_TURN_RAD
 
 
 def _swivels(joint: Joint) -> bool:
     is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= FULL_TURN_RAD
     return joint.kind == "continuous" or is_wide
-
-
-def _has_steering_limits(joint: Joint) -> bool:
-    """Whether a joint has limits, also where its kind makes them void: so cars are written."""
-    return 0.0 < joint.upper - joint.lower < FULL_TURN_RAD
 
 
 def _find_swivel(wheel: Joint, by_child: dict[str, Joint], upright: set[str]) -> Joint | None:

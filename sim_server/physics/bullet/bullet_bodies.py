@@ -452,7 +452,7 @@ def make_multibody_arguments(
         baseVisualShapeIndex=visual,
         baseInertialFramePosition=root.com,
         baseInertialFrameOrientation=root.principal,
-        linkMasses=[_link_mass(part) for part in rest],
+        linkMasses=[max(one.mass_kg, MIN_MASS_KG) if one.joint else 0.0 for one in rest],
         linkCollisionShapeIndices=shapes[1:],
         # Without visual shapes Bullet tessellates collision shapes: five times slower.
         linkVisualShapeIndices=[visual] * len(rest),
@@ -512,10 +512,6 @@ def list_moments(part: RigidPart) -> Vec3:
         moments[nearest] = max(moments[nearest], part.reflected_inertia)
     x, y, z = moments
     return (x, y, z)
-
-
-def _link_mass(part: RigidPart) -> float:
-    return 0.0 if part.joint is None else max(part.mass_kg, MIN_MASS_KG)
 
 
 class CollisionShapeCache:

@@ -113,7 +113,8 @@ def find_couplings(
 
 
 def _find_bounds(joint: Joint) -> tuple[float, float]:
-    return (joint.lower, joint.upper) if joint.kind in LIMITED_KINDS else (-np.inf, np.inf)
+    is_limited = joint.kind in LIMITED_KINDS and joint.lower <= joint.upper
+    return (joint.lower, joint.upper) if is_limited else (-np.inf, np.inf)
 
 
 class ServoTargets(NamedTuple):
@@ -163,6 +164,9 @@ class JointServos:
         self._numbers: list[float] = []
         self._rest: FloatArray = np.zeros(len(couplings.leaders))
         self._motor_efforts: FloatArray = np.zeros(len(couplings.leaders))
+        self._pushing: FloatArray = np.zeros(len(couplings.leaders))
+        self._told: FloatArray = self._pushing
+        """Of the last call of `take_limits`."""
         self._set_targets(make_servo_targets((None,) * len(couplings.leaders), [], dt_s))
 
     def command(self, targets: list[float]) -> None:
@@ -170,32 +174,49 @@ class JointServos:
         self._numbers = targets
         self._set_targets(make_servo_targets(self.couplings.motors, targets, self._dt_s))
 
-    def list_efforts(self) -> Iterator[tuple[int, float]]:
-        """List Bullet's numbers of joints, and what was found for their motors in the last step."""
-        for motor, effort in zip(self.couplings.motors, self._motor_efforts.tolist(), strict=True):
+    def list_efforts(self) -> Iterator[tuple[int, float, bool]]:
+        """List Bullet's numbers of joints, efforts in the last step, and which are all of them.
+
+        The others come on top of what Bullet's motor exerts. A motor that pushes a stop exerts its
+        limit: what holds the joint is applied, and the stop bears the rest.
+        """
+        most = (1.0 - RESERVED_SHARE) * self.targets.most_effort
+        is_whole = (self._pushing != 0.0) & (self.targets.most_effort < MAX_EFFORT)
+        efforts = np.where(is_whole, self._pushing * most, self._motor_efforts)
+        rows = zip(self.couplings.motors, efforts.tolist(), is_whole.tolist(), strict=True)
+        for motor, effort, one in rows:
             if motor is not None:
-                yield motor.joint, effort
+                yield motor.joint, effort, one
 
     def take_limits(self) -> Iterator[tuple[JointMotor, int, float, float]]:
         """List motors with kind and number of their targets, and the rest of their limits.
 
-        Only those are listed for which the rest in the last call is too much, or much too little.
+        Only those are listed for which the rest in the last call is too much, or much too little,
+        or that have reached or left a stop, which is their target then.
         """
         most = self.targets.most_effort
         found = most - np.abs(self._motor_efforts)
         changed = (self._rest > found) | (self._rest < found - RESERVED_SHARE * most)
-        if not (changed & self.targets.is_moved).any():
+        changed &= most < MAX_EFFORT
+        told = changed | (self._pushing != self._told)
+        self._told = self._pushing
+        if not (told & self.targets.is_moved).any():
             return
         self._rest = np.where(changed, found - RESERVED_SHARE * most / 2.0, self._rest)
-        for row in np.flatnonzero(changed & self.targets.is_moved).tolist():
+        for row in np.flatnonzero(told & self.targets.is_moved).tolist():
             motor = self.couplings.motors[row]
-            if motor is not None and motor.effort < MAX_EFFORT:
-                yield motor, *motor.find_target(self._numbers), float(self._rest[row])
+            assert motor is not None
+            kind, number = motor.find_target(self._numbers)
+            if side := int(self._pushing[row]):
+                kind = JointTargetKind.POSITION
+                number = float(self.couplings.bounds[int(side > 0), row])
+            yield motor, kind, number, float(self._rest[row])
 
     def _set_targets(self, targets: ServoTargets) -> None:
         self.targets = targets
         self.is_active = bool(targets.is_moved.any()) or len(self.couplings.followers) > 0
         self._motor_efforts = np.where(targets.is_moved, self._motor_efforts, 0.0)
+        self._told = np.zeros(len(self._told))
         self._rest = targets.most_effort
 
     def find_efforts(
@@ -210,7 +231,7 @@ class JointServos:
         """
         couplings, targets = self.couplings, self.targets
         at, moving = np.array(positions), np.array(speeds)
-        aim, pushing = self._find_aim(at[couplings.leaders], moving[couplings.leaders])
+        aim, self._pushing = self._find_aim(at[couplings.leaders], moving[couplings.leaders])
         wish = self._find_accelerations(at, moving, aim)
         efforts = dynamics.bias + dynamics.mass @ wish
         sums = efforts @ couplings.ratios
@@ -219,8 +240,6 @@ class JointServos:
             own = couplings.ratios.T @ dynamics.mass @ couplings.ratios
             sums, change = limit_efforts(own, sums, targets)
             efforts = efforts + dynamics.mass @ (couplings.ratios @ change)
-        # A stop bears all that a motor exerts beyond what holds the joint, so that is not applied.
-        sums = np.where(pushing, pushing * (1.0 - RESERVED_SHARE) * targets.most_effort, sums)
         self._motor_efforts = np.where(targets.is_moved, sums, 0.0)
         # The engine applies commanded efforts by itself.
         efforts[couplings.leaders] -= targets.effort
@@ -239,8 +258,9 @@ class JointServos:
         highest = np.maximum((most - at) / self._dt_s, moving)
         is_at = ((aim > 0.0) & (at >= most)) | ((aim < 0.0) & (at <= least))
         is_stopped = targets.is_moved & (is_at | (aim > highest) | (aim < lowest))
+        back = POSITION_GAIN / self._dt_s * (np.where(aim > 0.0, most, least) - at)
         pushing = np.where(is_stopped, np.sign(aim), 0.0)
-        return np.where(is_at, 0.0, np.clip(aim, lowest, highest)), pushing
+        return np.where(is_at, back, np.clip(aim, lowest, highest)), pushing
 
     def _find_accelerations(
         self, at: FloatArray, moving: FloatArray, aim: FloatArray

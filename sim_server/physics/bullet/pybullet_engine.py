@@ -688,11 +688,12 @@ class PyBulletEngine(Engine):
         """Add efforts that are commanded or found, which are none of Bullet's motors."""
         start = 0
         for body, joints in jointed:
-            applied = list(self._joint_efforts.get(body, ()))
+            applied = [(*one, False) for one in self._joint_efforts.get(body, ())]
             if (servos := self._servos.get(body)) is not None:
                 applied.extend(servos.list_efforts())
-            for joint, effort in applied:
-                efforts[start + joints.index(joint)] += effort
+            for joint, effort, is_whole in applied:
+                place = start + joints.index(joint)
+                efforts[place] = effort + (0.0 if is_whole else efforts[place])
             start += len(joints)
 
     def _list_joints(self, bodies: Sequence[int]) -> list[tuple[int, Sequence[int]]]:

@@ -294,7 +294,8 @@ class RemoteCell(Engine):
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; not asked for what PyBullet adds in less than the round trip."""
-        if self._name == "pybullet" and _is_quickly_added(model):
+        is_quick = len(model.links) <= MAX_QUICK_LINKS and not _has_meshes(model)
+        if self._name == "pybullet" and is_quick:
             return True
         self.worker.select_model(model)
         return self.worker.call(bool, "prepare", self.cell)
@@ -393,10 +394,6 @@ class RemoteCell(Engine):
         self.worker.cells -= 1
         with suppress(CellWorkerDied):
             self.worker.send("close", self.cell)
-
-
-def _is_quickly_added(model: Model) -> bool:
-    return len(model.links) <= MAX_QUICK_LINKS and not _has_meshes(model)
 
 
 def _has_meshes(model: Model) -> bool:

@@ -264,13 +264,19 @@ def find_joint_inertia(archetype: Archetype, link: int, axis: Vec3) -> tuple[flo
 
 
 def _swings_lightly(archetype: Archetype) -> bool:
-    """Whether a link without weight carries what is not balanced, as the ball joint of a rod."""
-    joints = ((link, part.joint) for link, part in enumerate(archetype.link_parts))
+    """Whether a ball joint, which is three hinges at one place, carries what is not balanced."""
+    light = {
+        link
+        for link, part in enumerate(archetype.link_parts)
+        if part.joint is not None
+        and part.joint.kind in TURNING_KINDS
+        and find_joint_inertia(archetype, link, part.joint.axis)[1] > 0.0
+    }
     return any(
-        find_joint_inertia(archetype, link, joint.axis)[1] > 0.0
-        and not _carries_balanced(archetype, link)
-        for link, joint in joints
-        if joint is not None and joint.kind in TURNING_KINDS
+        child in light and not any(archetype.link_parts[child].origin.position)
+        for link in light
+        for child in archetype.children(link)
+        if not _carries_balanced(archetype, child)
     )
 
 

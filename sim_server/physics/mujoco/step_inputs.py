@@ -21,6 +21,9 @@ from zensim.sim_server.physics.mujoco.body_selection import (
 from zensim.sim_server.physics.mujoco.slot_layout import IndexArray
 from zensim.sim_server.physics.mujoco.slot_state import POSITION_ERP, ActuatorTargets
 
+STRONG_ACCELERATION = 3e4
+"""Of a motor [m/s^2 or rad/s^2] that pushes a joint by 5 mm or mrad through its stop, at 240 Hz."""
+
 
 class MjBodyMotions(Protocol):
     """Arrays of `mujoco.MjData` about the motion of bodies."""
@@ -123,6 +126,8 @@ class StepInputs:
     Attributes:
         motors: Indexes in qvel of degrees of freedom with friction, in the order of MuJoCo's rows.
         position_motors, position_qpos: Which of them hold an angle, and their indexes in qpos.
+        strong_motors, strong_qpos: Which could move far through a stop, likewise.
+        bounds: (2, n) positions of their stops.
         pushed: Indexes in qvel of controlled joints that get an effort.
         twisted_roots: Roots with a planar twist.
         link_forces: Gravity compensation and damping.
@@ -132,6 +137,9 @@ class StepInputs:
     motors: IndexArray
     position_motors: IndexArray
     position_qpos: IndexArray
+    strong_motors: IndexArray
+    strong_qpos: IndexArray
+    bounds: FloatArray
     pushed: IndexArray
     twisted_roots: StateGather
     link_forces: LinkForceArrays
@@ -148,6 +156,9 @@ class StepInputs:
                 most[most == 0.0] = np.inf
                 wanted = np.clip(wanted, -most, most)
             speeds[self.position_motors] = wanted
+        if len(self.strong_motors):
+            nearest = (self.bounds - qpos[self.strong_qpos]) / dt_s
+            speeds[self.strong_motors] = np.clip(speeds[self.strong_motors], *nearest)
         return speeds
 
     def impose_twists(self, targets: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
@@ -168,6 +179,8 @@ def make_step_inputs(
     targets: ActuatorTargets,
     friction: FloatArray,
     qpos_indexes: IndexArray,
+    ranges: FloatArray,
+    inertias: FloatArray,
 ) -> StepInputs:
     """Collect the inputs of the active bodies.
 
@@ -176,15 +189,22 @@ def make_step_inputs(
         targets: Of all degrees of freedom.
         friction: Of each degree of freedom.
         qpos_indexes: Index in qpos of the joint of each degree of freedom.
+        ranges: (n, 2) stops of that joint; equal where it has none.
+        inertias: Of each degree of freedom [kg or kg m^2].
     """
     bodies = list(bodies)
     motors = np.flatnonzero(friction > 0.0)
     position_motors = np.flatnonzero(targets.is_position[motors])
+    is_strong = friction[motors] > STRONG_ACCELERATION * inertias[motors]
+    strong_motors = np.flatnonzero(is_strong & (ranges[motors, 0] < ranges[motors, 1]))
     free = [body.address for body in bodies if body.address.is_free]
     return StepInputs(
         motors,
         position_motors,
         qpos_indexes[motors[position_motors]],
+        strong_motors,
+        qpos_indexes[motors[strong_motors]],
+        ranges[motors[strong_motors]].T,
         np.flatnonzero(targets.kinds == JointTargetKind.EFFORT),
         make_state_gather(
             [address for address in free if targets.is_twist_imposed[address.start.velocities]]

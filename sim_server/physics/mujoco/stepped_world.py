@@ -152,6 +152,8 @@ class SteppedWorld:
             self._targets,
             model.dof_frictionloss,
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
+            model.jnt_range[model.dof_jntid],
+            model.dof_M0,
         )
 
     def _wake_in_mujoco(self) -> None:
