@@ -224,15 +224,13 @@ def _list_upright_joints(lumped: LumpedModel) -> set[str]:
 
 def _is_caster(wheel: Joint, joints: Iterable[Joint], upright: set[str]) -> bool:
     swivel = _find_swivel(wheel, {joint.child: joint for joint in joints}, upright)
-    if swivel is None or not _swivels(swivel):
+    if swivel is None:
         return False
+    reach = swivel.upper - swivel.lower
     # Cars are written with limits, also where the kind of their joints makes these void.
-    return not 0.0 < swivel.upper - swivel.lower < FULL_TURN_RAD
-
-
-def _swivels(joint: Joint) -> bool:
-    is_wide = joint.kind == "revolute" and joint.upper - joint.lower >= FULL_TURN_RAD
-    return joint.kind == "continuous" or is_wide
+    is_steered = 0.0 < reach < FULL_TURN_RAD
+    is_wide = swivel.kind == "revolute" and reach >= FULL_TURN_RAD
+    return (swivel.kind == "continuous" or is_wide) and not is_steered
 
 
 def _find_swivel(wheel: Joint, by_child: dict[str, Joint], upright: set[str]) -> Joint | None:

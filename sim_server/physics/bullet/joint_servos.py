@@ -165,8 +165,7 @@ class JointServos:
         self._rest: FloatArray = np.zeros(len(couplings.leaders))
         self._motor_efforts: FloatArray = np.zeros(len(couplings.leaders))
         self._pushing: FloatArray = np.zeros(len(couplings.leaders))
-        self._told: FloatArray = self._pushing
-        """Of the last call of `take_limits`."""
+        self._told: FloatArray = self._pushing  # by the last call of `take_limits`
         self._set_targets(make_servo_targets((None,) * len(couplings.leaders), [], dt_s))
 
     def command(self, targets: list[float]) -> None:

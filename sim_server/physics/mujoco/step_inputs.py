@@ -1,6 +1,6 @@
 """What a step of MuJoCo gets: targets of motors, planar twists, forces and torques."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,11 +18,11 @@ from zensim.sim_server.physics.mujoco.body_selection import (
     StateGather,
     make_state_gather,
 )
-from zensim.sim_server.physics.mujoco.slot_layout import IndexArray
+from zensim.sim_server.physics.mujoco.slot_layout import IndexArray, SlotAddress
 from zensim.sim_server.physics.mujoco.slot_state import POSITION_ERP, ActuatorTargets
 
 STRONG_ACCELERATION = 3e4
-"""Of a motor [m/s^2 or rad/s^2] that pushes a joint by 5 mm or mrad through its stop, at 240 Hz."""
+"""Acceleration [m/s^2 or rad/s^2] by which a motor pushes a joint 5 mm or mrad beyond its stop."""
 
 
 class MjBodyMotions(Protocol):
@@ -126,8 +126,7 @@ class StepInputs:
     Attributes:
         motors: Indexes in qvel of degrees of freedom with friction, in the order of MuJoCo's rows.
         position_motors, position_qpos: Which of them hold an angle, and their indexes in qpos.
-        strong_motors, strong_qpos: Which could move far through a stop, likewise.
-        bounds: (2, n) positions of their stops.
+        strong_motors, strong_qpos, bounds: Which could move far through a stop, and (2, n) stops.
         pushed: Indexes in qvel of controlled joints that get an effort.
         twisted_roots: Roots with a planar twist.
         link_forces: Gravity compensation and damping.
@@ -175,7 +174,7 @@ class StepInputs:
 
 
 def make_step_inputs(
-    bodies: Iterable[MujocoBody],
+    bodies: Sequence[MujocoBody],
     targets: ActuatorTargets,
     friction: FloatArray,
     qpos_indexes: IndexArray,
@@ -192,23 +191,19 @@ def make_step_inputs(
         ranges: (n, 2) stops of that joint; equal where it has none.
         inertias: Of each degree of freedom [kg or kg m^2].
     """
-    bodies = list(bodies)
     motors = np.flatnonzero(friction > 0.0)
     position_motors = np.flatnonzero(targets.is_position[motors])
-    is_strong = friction[motors] > STRONG_ACCELERATION * inertias[motors]
-    strong_motors = np.flatnonzero(is_strong & (ranges[motors, 0] < ranges[motors, 1]))
-    free = [body.address for body in bodies if body.address.is_free]
+    has_stops = ranges[motors, 0] < ranges[motors, 1]
+    strong = np.flatnonzero(has_stops & (friction > STRONG_ACCELERATION * inertias)[motors])
     return StepInputs(
         motors,
         position_motors,
         qpos_indexes[motors[position_motors]],
-        strong_motors,
-        qpos_indexes[motors[strong_motors]],
-        ranges[motors[strong_motors]].T,
+        strong,
+        qpos_indexes[motors[strong]],
+        ranges[motors[strong]].T,
         np.flatnonzero(targets.kinds == JointTargetKind.EFFORT),
-        make_state_gather(
-            [address for address in free if targets.is_twist_imposed[address.start.velocities]]
-        ),
+        make_state_gather(_list_twisted(bodies, targets)),
         make_link_force_arrays(
             (body.address.start.bodies + body.address.layout.bodies[load.part + 1], load)
             for body in bodies
@@ -216,6 +211,11 @@ def make_step_inputs(
         ),
         _find_spinning_bodies(bodies),
     )
+
+
+def _list_twisted(bodies: Iterable[MujocoBody], targets: ActuatorTargets) -> list[SlotAddress]:
+    free = (body.address for body in bodies if body.address.is_free)
+    return [one for one in free if targets.is_twist_imposed[one.start.velocities]]
 
 
 def _find_spinning_bodies(bodies: Iterable[MujocoBody]) -> SpinningBodies:

@@ -148,7 +148,7 @@ class SteppedWorld:
         model = self._model
         self._is_changed = False
         self._step_inputs = make_step_inputs(
-            (body for number, body in self._bodies.items() if self._is_active(number)),
+            [body for number, body in self._bodies.items() if self._is_active(number)],
             self._targets,
             model.dof_frictionloss,
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
