@@ -91,7 +91,7 @@ console = PrintableConsole(stderr=True)
 DriverMaker = Callable[[LocalDeployment], "UpDriver"]
 MOST_IN_ROW = 20  # robots that one picture shows
 SLOW_AFTER_S, SLOW_SHARE = 8.0, 0.8
-FASTER = "faster: --dynamics auto or kinematic, --engine mujoco"
+FASTER = "faster, unless in use: --dynamics auto or kinematic, --engine mujoco"
 
 
 @dataclass(frozen=True, kw_only=True)

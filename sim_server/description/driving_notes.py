@@ -21,6 +21,7 @@ from zensim.sim_server.description.model_geometry import (
     NO_MESHES,
     falls_without_end,
     find_link_poses,
+    list_joints_above,
     turns_freely,
 )
 from zensim.sim_server.description.motion_prediction import (
@@ -199,14 +200,8 @@ def _list_loose_joints(case: _Case) -> list[str]:
 
 def _carry_wheels(model: Model, names: Sequence[str]) -> bool:
     """Whether a joint with one of these names is above a joint that turns without limits."""
-    by_child = {joint.child: joint for joint in model.joints}
-    above = {joint.parent for joint in model.joints if turns_freely(joint)}
-    while above:
-        joints = [by_child[link] for link in above if link in by_child]
-        if any(joint.name in names for joint in joints):
-            return True
-        above = {joint.parent for joint in joints}
-    return False
+    wheels = filter(turns_freely, model.joints)
+    return any(name in names for wheel in wheels for name in list_joints_above(model, wheel))
 
 
 def _name_some(names: Sequence[str]) -> str:

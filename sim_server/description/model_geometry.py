@@ -27,7 +27,7 @@ from zensim.proto.rigid_transforms import (
 from zensim.sim_server.description.mimic_joints import list_following_joints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     import numpy as np
     import numpy.typing as npt
@@ -141,6 +141,15 @@ def falls_without_end(model: Model) -> bool:
     lifted_kg = sum(link.weightless.mass_kg for link in model.links)
     stands = any(link.collisions for link in model.links)
     return not (model.is_static or stands) and (mass_kg > lifted_kg or lifted_kg == 0.0)
+
+
+def list_joints_above(model: Model, joint: Joint) -> Iterator[str]:
+    """List the names of the joints between a joint and the root, the nearest first."""
+    by_child = {one.child: one for one in model.joints}
+    parent = by_child.get(joint.parent)
+    while parent is not None:
+        yield parent.name
+        parent = by_child.get(parent.parent)
 
 
 def turns_freely(joint: Joint) -> bool:

@@ -202,6 +202,19 @@ def test_motor_pushes_a_stop_with_its_limit_and_stays_at_it(
     assert max(positions) - min(positions) < 3e-4
 
 
+def test_effort_that_is_commanded_at_a_stop_is_reported(engine: Engine) -> None:
+    body = engine.add(
+        with_last_joint_between(a_long_arm(1, effort=40.0), -1.0, 0.2), a_state((0.0, 0.0, 2.0))
+    )
+    engine.command((body,), np.array([float(JointTargetKind.VELOCITY), 1.0]))
+    advance(engine, STEPS_S)
+    engine.command((body,), np.array([float(JointTargetKind.EFFORT), 6.0]))
+
+    advance(engine, STEPS_S // 10)
+
+    assert engine.read_joint_efforts((body,)) == pytest.approx([6.0], rel=0.01)
+
+
 @pytest.mark.parametrize("effort", [0.0, 1e5], ids=["unlimited", "strong"])
 @pytest.mark.parametrize("kind", [JointTargetKind.VELOCITY, JointTargetKind.POSITION])
 def test_no_motor_moves_a_joint_through_its_stop(

@@ -18,7 +18,7 @@ from zensim.envs.robot_task import (
     find_neighbours,
 )
 from zensim.envs.world_streams import IntArray, WorldStreams
-from zensim.proto.sensor_noise import FloatArray
+from zensim.proto.se3 import FloatArray
 
 CELL, NEARER, COLLISION, STEP = 0.1, 0.2, -1.0, -0.01
 """Rewards; `NEARER` of a metre."""

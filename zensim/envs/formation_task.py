@@ -12,7 +12,7 @@ from zensim.envs.robot_task import (
     find_in_robot,
 )
 from zensim.envs.world_streams import IntArray, WorldStreams
-from zensim.proto.sensor_noise import FloatArray
+from zensim.proto.se3 import FloatArray
 
 COLLISION = -1.0
 """Reward."""

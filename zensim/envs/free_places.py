@@ -5,7 +5,7 @@ import numpy as np
 from zensim.api.api_errors import Invalid
 from zensim.envs.robot_task import BoolArray, WorldStart
 from zensim.proto.messages.standard_messages import OccupancyGrid
-from zensim.proto.sensor_noise import FloatArray
+from zensim.proto.se3 import FloatArray
 
 RESOLUTION_M = 0.1
 

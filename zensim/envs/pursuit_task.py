@@ -18,7 +18,7 @@ from zensim.envs.robot_task import (
     turn_into_robot,
 )
 from zensim.envs.world_streams import IntArray, WorldStreams
-from zensim.proto.sensor_noise import FloatArray
+from zensim.proto.se3 import FloatArray
 
 CATCH, COLLISION, STEP = 1.0, -1.0, -0.01
 """Rewards."""

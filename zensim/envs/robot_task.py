@@ -12,7 +12,7 @@ from zensim.api.api_errors import Invalid
 from zensim.envs.world_streams import IntArray, WorldStreams
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.standard_messages import OccupancyGrid
-from zensim.proto.sensor_noise import FloatArray
+from zensim.proto.se3 import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 FAR_M = 20.0

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.api.argument_checks import check_whole
-from zensim.proto.sensor_noise import FloatArray, draw_uniforms, draw_words
+from zensim.proto.se3 import FloatArray
+from zensim.proto.sensor_noise import draw_uniforms, draw_words
 
 IntArray = npt.NDArray[np.intp]
 SEED_SHIFT = np.uint64(2)

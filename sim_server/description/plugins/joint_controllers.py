@@ -18,11 +18,12 @@ from zensim.proto.messages.model_messages import (
     PositionTolerance,
 )
 from zensim.proto.names import InvalidName, check_name
+from zensim.sim_server.description.model_geometry import list_joints_above
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags, WrittenTags
 from zensim.sim_server.description.strict_parsing import quote
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from zensim.proto.messages.model_messages import Joint, Model
     from zensim.sim_server.description.plugins.controller_files import Controller
@@ -195,7 +196,7 @@ def _list_moved_joints(
     if has_free_wheels:
         yield from free
         return
-    above = {joint.name: list(_list_above(model, joint)) for joint in model.joints}
+    above = {joint.name: list(list_joints_above(model, joint)) for joint in model.joints}
     owned = set(model.drive.joints) if model.drive else set()
     carriers = {one for name in owned for one in above.get(name, ())}
     moved = {
@@ -210,11 +211,3 @@ def _list_moved_joints(
     for name in moved:
         if name in arms or not bounded.isdisjoint(above[name]):
             yield name
-
-
-def _list_above(model: Model, joint: Joint) -> Iterable[str]:
-    by_child = {one.child: one for one in model.joints}
-    parent = by_child.get(joint.parent)
-    while parent is not None:
-        yield parent.name
-        parent = by_child.get(parent.parent)

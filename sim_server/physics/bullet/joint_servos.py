@@ -165,7 +165,7 @@ class JointServos:
         self._rest: FloatArray = np.zeros(len(couplings.leaders))
         self._motor_efforts: FloatArray = np.zeros(len(couplings.leaders))
         self._pushing: FloatArray = np.zeros(len(couplings.leaders))
-        self._told: FloatArray = self._pushing  # by the last call of `take_limits`
+        self._sent: FloatArray = self._pushing  # by the last call of `take_limits`
         self._set_targets(make_servo_targets((None,) * len(couplings.leaders), [], dt_s))
 
     def command(self, targets: list[float]) -> None:
@@ -197,12 +197,12 @@ class JointServos:
         found = most - np.abs(self._motor_efforts)
         changed = (self._rest > found) | (self._rest < found - RESERVED_SHARE * most)
         changed &= most < MAX_EFFORT
-        told = changed | (self._pushing != self._told)
-        self._told = self._pushing
-        if not (told & self.targets.is_moved).any():
+        is_due = changed | (self._pushing != self._sent)
+        self._sent = self._pushing
+        if not (is_due & self.targets.is_moved).any():
             return
         self._rest = np.where(changed, found - RESERVED_SHARE * most / 2.0, self._rest)
-        for row in np.flatnonzero(told & self.targets.is_moved).tolist():
+        for row in np.flatnonzero(is_due & self.targets.is_moved).tolist():
             motor = self.couplings.motors[row]
             assert motor is not None
             kind, number = motor.find_target(self._numbers)
@@ -215,7 +215,8 @@ class JointServos:
         self.targets = targets
         self.is_active = bool(targets.is_moved.any()) or len(self.couplings.followers) > 0
         self._motor_efforts = np.where(targets.is_moved, self._motor_efforts, 0.0)
-        self._told = np.zeros(len(self._told))
+        self._pushing = np.where(targets.is_moved, self._pushing, 0.0)
+        self._sent = np.zeros(len(self._sent))
         self._rest = targets.most_effort
 
     def find_efforts(
